@@ -1,0 +1,3 @@
+include(StrataLibraryDependencies)
+# The command alone uses these.
+find_package(CLI11 REQUIRED CONFIG)
