@@ -1,0 +1,285 @@
+#include "core/gather.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <chrono>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "core/rejection.h"
+#include "core/stream_rejection.h"
+
+namespace strata {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+double SecondsSince(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+// Sums of cells' areas, whose order must not show.
+class AreaSum {
+ public:
+  void Add(FixedArea area) { sum_ += area; }
+  double InWorldUnits(const Lattice& lattice) const {
+    return static_cast<double>(sum_) * kFixedAreaUnit * (lattice.edge * lattice.edge);
+  }
+
+ private:
+  __extension__ unsigned __int128 sum_ = 0;
+};
+
+void Resize(SampleColumns& out, AttributeSet want, std::size_t n) {
+  out.position.resize(n);
+  out.normal.resize((want & kNormal) != 0 ? n : 0);
+  out.triangle.resize((want & kTriangle) != 0 ? n : 0);
+  out.barycentric.resize((want & kBarycentric) != 0 ? n : 0);
+  out.cell.resize((want & kCell) != 0 ? n : 0);
+  out.area.resize((want & kArea) != 0 ? n : 0);
+}
+
+void Put(SampleColumns& out, std::size_t k, const GatherOptions& options, Vec3 position, Cell cell,
+         const Reservoir& r) {
+  const AttributeSet want = options.attributes;
+  const double edge = options.lattice.edge;
+  out.position[k] = position;
+  if ((want & kNormal) != 0) out.normal[k] = r.normal;
+  if ((want & kTriangle) != 0) out.triangle[k] = r.triangle;
+  if ((want & kBarycentric) != 0) {
+    const double b = r.barycentric[0], c = r.barycentric[1];
+    out.barycentric[k] = {std::max(0.0, 1 - b - c), b, c};
+  }
+  if ((want & kCell) != 0) out.cell[k] = cell;
+  if ((want & kArea) != 0) {
+    out.area[k] = static_cast<double>(r.area) * (kFixedAreaUnit * edge * edge);
+  }
+}
+
+std::uint64_t BytesPerSample(AttributeSet attributes) {
+  SampleColumns one;
+  Resize(one, attributes, 1);
+  return sizeof(Vec3) + one.normal.size() * sizeof(Vec3f) + one.triangle.size() * 8 +
+         one.barycentric.size() * 24 + one.cell.size() * sizeof(Cell) + one.area.size() * 8;
+}
+
+// --- All at once -----------------------------------------------------------------------------
+
+class MemorySource : public SampleSource {
+ public:
+  MemorySource(SampleColumns columns, MemoryShare share)
+      : columns_(std::move(columns)), share_(std::move(share)) {}
+  Result<bool> Next(SampleColumns& out) override {
+    if (columns_.size() == 0) return false;
+    out = std::exchange(columns_, {});
+    return true;
+  }
+
+ private:
+  SampleColumns columns_;
+  MemoryShare share_;
+};
+
+// The columns that the minimum distance looks at, of all cells in canonical order.
+struct AllCells {
+  explicit AllCells(std::size_t n) : reservoir(n), position(n), time(n), cell(n) {}
+  std::vector<const Reservoir*> reservoir;
+  std::vector<Vec3> position;
+  std::vector<double> time;
+  std::vector<Cell> cell;
+};
+
+AllCells Collect(const ReservoirGrid& grid, const GatherOptions& options) {
+  AllCells all(grid.size());
+  grid.VisitInOrder([&](std::size_t i, Cell cell, const Reservoir& reservoir) {
+    all.reservoir[i] = &reservoir;
+    all.cell[i] = cell;
+    all.time[i] = reservoir.time;
+    all.position[i] = PositionOf(options, cell, reservoir);
+  });
+  return all;
+}
+
+SampleColumns Keep(const AllCells& all, const std::vector<std::uint8_t>& fate,
+                   const GatherOptions& options) {
+  std::vector<std::size_t> kept;
+  kept.reserve(fate.size());
+  for (std::size_t i = 0; i < fate.size(); ++i) {
+    if (fate[i] == kSurvivingSample) kept.push_back(i);
+  }
+  SampleColumns out;
+  Resize(out, options.attributes, kept.size());
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, kept.size(), 4096), [&](const auto& range) {
+    for (std::size_t k = range.begin(); k != range.end(); ++k) {
+      const std::size_t i = kept[k];
+      Put(out, k, options, all.position[i], all.cell[i], *all.reservoir[i]);
+    }
+  });
+  return out;
+}
+
+// --- In passes -------------------------------------------------------------------------------
+
+// What the first pass finds.
+struct Overview {
+  std::vector<Cell> blocks;
+  MemoryShare blocks_share;
+  std::uint64_t cells = 0;
+  AreaSum area;
+  Bounds bounds;  // Of all samples.
+};
+
+constexpr std::uint64_t kSamplesAtOnce = 1 << 16;
+
+class PassJob {
+ public:
+  PassJob(std::unique_ptr<ReservoirStore> store, const GatherOptions& options, RunContext& context)
+      : store_(std::move(store)), options_(options), context_(context) {}
+
+  Result<Gathered> Run();
+
+ private:
+  Result<std::unique_ptr<BlockStream>> Blocks() {
+    const std::uint64_t affordable = context_.memory().left() / 4 / kRunBufferBytes;
+    return store_->Blocks(static_cast<std::size_t>(std::clamp<std::uint64_t>(affordable, 2, 256)));
+  }
+  Result<Overview> Survey();
+  Result<Survivors> Reject(const Overview& overview);
+
+  std::unique_ptr<ReservoirStore> store_;
+  GatherOptions options_;
+  RunContext& context_;
+};
+
+// The last pass: hands out what survives.
+class PassSource : public SampleSource {
+ public:
+  PassSource(std::unique_ptr<ReservoirStore> store, std::unique_ptr<BlockStream> blocks,
+             std::optional<Survivors> survivors, MemoryShare share, const GatherOptions& options)
+      : store_(std::move(store)),
+        blocks_(std::move(blocks)),
+        survivors_(std::move(survivors)),
+        share_(std::move(share)),
+        options_(options) {}
+
+  Result<bool> Next(SampleColumns& out) override {
+    Resize(out, options_.attributes, kSamplesAtOnce + 512);
+    std::size_t filled = 0;
+    while (filled < kSamplesAtOnce) {
+      const auto more = blocks_->Next(block_);
+      if (!more) return Forward(more);
+      if (!*more) break;
+      for (const BlockReservoirs::Entry& entry : block_.cells) {
+        if (survivors_ && !survivors_->Has(number_++)) continue;
+        const Cell cell = CellOf(block_.block, entry.offset);
+        Put(out, filled++, options_, PositionOf(options_, cell, entry.reservoir), cell,
+            entry.reservoir);
+      }
+    }
+    Resize(out, options_.attributes, filled);
+    return filled > 0;
+  }
+
+ private:
+  std::unique_ptr<ReservoirStore> store_;
+  std::unique_ptr<BlockStream> blocks_;
+  std::optional<Survivors> survivors_;  // None = all.
+  MemoryShare share_;
+  GatherOptions options_;
+  BlockReservoirs block_;
+  std::uint64_t number_ = 0;
+};
+
+Result<Overview> PassJob::Survey() {
+  auto stream = Blocks();
+  if (!stream) return Forward(stream);
+  Overview all;
+  BlockReservoirs block;
+  for (;;) {
+    const auto more = (*stream)->Next(block);
+    if (!more) return Forward(more);
+    if (!*more) break;
+    if (context_.cancelled()) return Cancelled();
+    all.blocks.push_back(block.block);
+    all.cells += block.cells.size();
+    for (const BlockReservoirs::Entry& entry : block.cells) {
+      all.area.Add(entry.reservoir.area);
+      all.bounds.Add(PositionOf(options_, CellOf(block.block, entry.offset), entry.reservoir));
+    }
+  }
+  auto share = context_.memory().Take(all.blocks.capacity() * sizeof(Cell), "the list of blocks");
+  if (!share) return Forward(share);
+  all.blocks_share = std::move(*share);
+  return all;
+}
+
+Result<Survivors> PassJob::Reject(const Overview& overview) {
+  auto stream = Blocks();
+  if (!stream) return Forward(stream);
+  context_.SetStage(RunContext::Stage::kReject);
+  return RejectStream(**stream, overview.blocks, overview.cells, options_,
+                      context_.memory().left() / 10 * 7, context_);
+}
+
+Result<Gathered> PassJob::Run() {
+  const auto overview = Survey();
+  if (!overview) return Forward(overview);
+  Gathered out;
+  out.cells = out.survivors = overview->cells;
+  out.cell_area = overview->area.InWorldUnits(options_.lattice);
+  out.bounds = overview->bounds;
+  std::optional<Survivors> survivors;
+  MemoryShare share;
+  const auto start = Clock::now();
+  if (options_.min_distance > 0) {
+    auto bits = context_.memory().Take(Survivors::BytesFor(out.cells), "the list of survivors");
+    if (!bits) return Forward(bits);
+    share = std::move(*bits);
+    auto found = Reject(*overview);
+    if (!found) return Forward(found);
+    survivors = std::move(*found);
+    out.survivors = survivors->count;
+    out.bounds = survivors->bounds;
+  }
+  out.reject_seconds = SecondsSince(start);
+  auto stream = Blocks();
+  if (!stream) return Forward(stream);
+  out.samples = std::make_unique<PassSource>(std::move(store_), std::move(*stream),
+                                             std::move(survivors), std::move(share), options_);
+  return out;
+}
+
+}  // namespace
+
+Result<Gathered> GatherInMemory(std::unique_ptr<ReservoirStore> store, const GatherOptions& options,
+                                RunContext& context) {
+  const AllCells all = Collect(store->grid(), options);
+  Gathered out;
+  out.cells = all.cell.size();
+  AreaSum area;
+  for (const Reservoir* r : all.reservoir) area.Add(r->area);
+  out.cell_area = area.InWorldUnits(options.lattice);
+  context.SetStage(RunContext::Stage::kReject);
+  const auto start = Clock::now();
+  const auto fate = RejectClosePoints({all.position, all.time, all.cell},
+                                      options.min_distance * options.lattice.edge, context);
+  if (!fate) return Forward(fate);
+  out.reject_seconds = SecondsSince(start);
+  SampleColumns samples = Keep(all, *fate, options);
+  out.survivors = samples.size();
+  for (const Vec3& p : samples.position) out.bounds.Add(p);
+  auto share =
+      context.memory().Take(samples.size() * BytesPerSample(options.attributes), "samples");
+  if (!share) return Forward(share);
+  out.samples = std::make_unique<MemorySource>(std::move(samples), std::move(*share));
+  return out;
+}
+
+Result<Gathered> GatherInPasses(std::unique_ptr<ReservoirStore> store, const GatherOptions& options,
+                                RunContext& context) {
+  return PassJob(std::move(store), options, context).Run();
+}
+
+}  // namespace strata

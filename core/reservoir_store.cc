@@ -1,0 +1,124 @@
+#include "core/reservoir_store.h"
+
+#include <algorithm>
+#include <string>
+#include <utility>
+
+#include "core/block_merge.h"
+#include "core/memory_account.h"
+
+namespace strata {
+
+ReservoirStore::ReservoirStore(const StoreLimits& limits)
+    : limits_(limits), grid_(std::make_unique<ReservoirGrid>()) {}
+
+void ReservoirStore::Merge(const CellCache& cache) {
+  bool spill = false;
+  {
+    const std::shared_lock<std::shared_mutex> lock(grid_mutex_);
+    grid_->Merge(cache);
+    spill = limits_.scratch != nullptr && grid_->bytes() > limits_.max_bytes / 2;
+  }
+  if (spill) Spill();
+}
+
+bool ReservoirStore::full() const {
+  if (failed_.load(std::memory_order_relaxed)) return true;
+  return limits_.scratch == nullptr && grid_->size() > limits_.max_cells;
+}
+
+Result<void> ReservoirStore::status() const {
+  if (failure_) return tl::unexpected<Error>(*failure_);
+  if (!full()) return {};
+  return Fail(ErrorCode::kOverBudget,
+              "more than " + std::to_string(limits_.max_cells) +
+                  " cells are occupied, which is what memory is set aside for; use a coarser "
+                  "lattice, or scratch space");
+}
+
+void ReservoirStore::Spill() {
+  const std::lock_guard<std::mutex> one_at_a_time(spill_mutex_);
+  std::unique_ptr<ReservoirGrid> frozen;
+  {
+    const std::unique_lock<std::shared_mutex> lock(grid_mutex_);
+    // Another worker may have been here first.
+    if (grid_->bytes() <= limits_.max_bytes / 2 || failure_) return;
+    frozen = std::exchange(grid_, std::make_unique<ReservoirGrid>());
+  }
+  if (auto written = WriteRun(*frozen->Blocks()); !written) {
+    failure_ = written.error();
+    failed_.store(true, std::memory_order_relaxed);
+  }
+  frozen.reset();
+  ReturnFreedMemory();  // Before the next grid comes this far.
+}
+
+Result<void> ReservoirStore::WriteRun(BlockStream& blocks) {
+  if (!file_) {
+    if (limits_.scratch == nullptr) {
+      return Fail(ErrorCode::kInvalidArgument, "merging runs needs scratch space");
+    }
+    auto file = limits_.scratch->NewFile();
+    if (!file) return Forward(file);
+    file_ = std::move(*file);
+  }
+  RunWriter writer([this](std::string_view bytes) { return file_->Append(bytes); }, file_->size(),
+                   limits_.barycentric);
+  BlockReservoirs block;
+  for (;;) {
+    const auto more = blocks.Next(block);
+    if (!more) return Forward(more);
+    if (!*more) break;
+    if (limits_.context != nullptr && limits_.context->cancelled()) return Cancelled();
+    if (auto added = writer.Add(block); !added) return added;
+  }
+  const auto extent = writer.Finish();
+  if (!extent) return Forward(extent);
+  runs_.push_back({file_.get(), *extent});
+  return {};
+}
+
+void ReservoirStore::Adopt(std::unique_ptr<ScratchFile> file, const RunExtent& extent) {
+  runs_.push_back({file.get(), extent});
+  adopted_.push_back(std::move(file));
+}
+
+// What this store wrote and cannot read back is the disk's fault; an adopted run is an input.
+std::unique_ptr<BlockStream> ReservoirStore::Open(const Run& run) const {
+  const bool own = run.file == file_.get();
+  return std::make_unique<RunReader>(*run.file, run.extent,
+                                     own ? ErrorCode::kIo : ErrorCode::kCorruptInput);
+}
+
+// Merges the first `count` runs into one at the end.
+Result<void> ReservoirStore::MergeRuns(std::size_t count) {
+  std::vector<std::unique_ptr<BlockStream>> streams;
+  for (std::size_t i = 0; i < count; ++i) {
+    streams.push_back(Open(runs_[i]));
+  }
+  BlockMerge merged(std::move(streams));
+  if (auto written = WriteRun(merged); !written) return written;
+  for (std::size_t i = 0; i < count; ++i) {
+    if (runs_[i].file != file_.get()) continue;
+    file_->Discard(runs_[i].extent.offset, runs_[i].extent.bytes);
+  }
+  runs_.erase(runs_.begin(), runs_.begin() + static_cast<std::ptrdiff_t>(count));
+  return {};
+}
+
+Result<std::unique_ptr<BlockStream>> ReservoirStore::Blocks(std::size_t most_streams) {
+  if (runs_.empty()) return grid_->Blocks();
+  // Several passes over the result are cheaper over one run.
+  if (grid_->size() > 0) {
+    if (auto written = WriteRun(*grid_->Blocks()); !written) return Forward(written);
+    grid_ = std::make_unique<ReservoirGrid>();
+    ReturnFreedMemory();
+  }
+  while (runs_.size() > 1) {
+    const std::size_t count = std::min(runs_.size(), std::max<std::size_t>(most_streams, 2));
+    if (auto merged = MergeRuns(count); !merged) return Forward(merged);
+  }
+  return Open(runs_.front());
+}
+
+}  // namespace strata

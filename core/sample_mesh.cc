@@ -1,0 +1,456 @@
+#include "core/sample_mesh.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/global_control.h>
+#include <tbb/info.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "core/enclosing_ball.h"
+#include "core/gather.h"
+#include "core/race.h"
+#include "core/rejection.h"
+#include "core/reservoir_grid.h"
+#include "core/scan.h"
+#include "core/scan_mesh.h"
+#include "core/triangle_hash.h"
+
+namespace strata {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+constexpr std::size_t kMaxProbes = 8;
+
+std::string Number(double v) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.17g", v);
+  return text;
+}
+
+bool IsEdgeAllowed(double edge) { return edge >= kMinEdge && edge <= kMaxEdge; }
+
+Result<void> CheckLattice(const LatticeSpec& spec) {
+  if (const auto* r = std::get_if<Resolution>(&spec); r && (r->n < 1 || r->n > kMaxResolution)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "resolution is " + std::to_string(r->n) + "; expected 1 to 536870912");
+  }
+  if (const auto* v = std::get_if<VoxelSize>(&spec); v && !IsEdgeAllowed(v->edge)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "voxel size is " + Number(v->edge) + "; expected 1e-60 to 1e60");
+  }
+  if (const auto* h = std::get_if<Height>(&spec); h && (h->h < 1 || h->h > kMaxHeight)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "height is " + std::to_string(h->h) + "; expected 1 to 30");
+  }
+  return {};
+}
+
+Result<void> CheckOptions(const SampleOptions& o) {
+  if (!(o.lambda >= 0 && o.lambda <= kMaxLambda)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "lambda is " + Number(o.lambda) + "; expected 0 to 500");
+  }
+  if (!(o.min_distance >= 0 && o.min_distance <= kMaxMinDistance)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "minimum distance is " + Number(o.min_distance) + "; expected 0 to 4");
+  }
+  if (o.threads < 0 || o.threads > 4096) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "threads is " + std::to_string(o.threads) + "; expected 0 to 4096");
+  }
+  if (o.batch_size < 1 || o.batch_size > (std::size_t{1} << 20)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "batch size is " + std::to_string(o.batch_size) + "; expected 1 to 1048576");
+  }
+  return CheckLattice(o.lattice);
+}
+
+// A lattice, and what must hold of the surface for it to be the right one. Vertices are at hand
+// before the first triangle is read, so the lattice is taken from all of them; that is wrong only
+// if one that matters belongs to no usable triangle, which the scan finds out.
+struct LatticeChoice {
+  Lattice lattice;
+  std::optional<Bounds> bounds;       // The surface's bounds must equal these.
+  std::vector<std::uint64_t> probes;  // The surface must have these vertices.
+
+  bool Holds(const BatchTotals& found) const {
+    if (bounds && !(*bounds == found.bounds)) return false;
+    return found.probes_found == (1u << probes.size()) - 1;
+  }
+};
+
+// Calls `visit` with the corners of every usable triangle.
+template <class F>
+Result<void> ForEachUsable(MeshReader& reader, RunContext& context, F&& visit) {
+  if (auto rewound = reader.Rewind(); !rewound) return Forward(rewound);
+  TriangleBatch batch(2048);
+  for (;;) {
+    if (context.cancelled()) return Cancelled();
+    const auto count = reader.Read(batch);
+    if (!count) return Forward(count);
+    if (*count == 0) return {};
+    context.SetProgress(reader.bytes_read(), reader.bytes_total().value_or(0));
+    for (std::size_t i = 0; i < batch.size(); ++i) {
+      const Vec3 a = batch.corner(i, 0), b = batch.corner(i, 1), c = batch.corner(i, 2);
+      if (IsUsable(CanonicalAreaVector(a, b, c))) visit(a), visit(b), visit(c);
+    }
+  }
+}
+
+Result<LatticeChoice> FromSurface(MeshReader& reader, const LatticeSpec& spec, int& passes,
+                                  RunContext& context) {
+  LatticeChoice choice;
+  if (const auto* resolution = std::get_if<Resolution>(&spec)) {
+    Bounds bounds;
+    auto pass = ForEachUsable(reader, context, [&](Vec3 p) { bounds.Add(p); });
+    ++passes;
+    if (!pass) return Forward(pass);
+    if (bounds.empty()) return Fail(ErrorCode::kEmptySurface, "no triangle of positive area");
+    choice.lattice = LatticeFor(bounds, *resolution);
+  } else {
+    auto ball = EnclosingBallOfStream([&](const PointVisitor& visit) {
+      ++passes;
+      return ForEachUsable(reader, context, visit);
+    });
+    if (!ball) return Forward(ball);
+    choice.lattice = LatticeFor(ball->ball.center, ball->ball.radius, std::get<Height>(spec));
+  }
+  if (auto rewound = reader.Rewind(); !rewound) return Forward(rewound);
+  return choice;
+}
+
+// Bounds of the finite coordinates, twelve running at once so that compilers can use vectors. (A
+// vertex with a coordinate that is not finite is in no usable triangle, so if its others matter
+// here, LatticeChoice::Holds finds out.)
+template <class T>
+Bounds BoundsOf(std::span<const T> xyz) {
+  constexpr std::size_t kRun = 12;
+  constexpr T kMost = std::numeric_limits<T>::max();
+  T low[kRun], high[kRun];
+  std::fill(low, low + kRun, kMost);
+  std::fill(high, high + kRun, -kMost);
+  const auto visit = [&](std::size_t i, std::size_t k) {
+    const T v = xyz[i + k];
+    low[k] = v < low[k] && v >= -kMost ? v : low[k];
+    high[k] = v > high[k] && v <= kMost ? v : high[k];
+  };
+  std::size_t i = 0;
+  for (; i + kRun <= xyz.size(); i += kRun) {
+    for (std::size_t k = 0; k < kRun; ++k) visit(i, k);
+  }
+  for (std::size_t k = 0; i + k < xyz.size(); ++k) visit(i, k);
+  Bounds bounds;
+  for (std::size_t k = 0; k < kRun; k += 3) {
+    if (low[k] > high[k] || low[k + 1] > high[k + 1] || low[k + 2] > high[k + 2]) continue;
+    bounds.Add({low[k], low[k + 1], low[k + 2]});
+    bounds.Add({high[k], high[k + 1], high[k + 2]});
+  }
+  return bounds;
+}
+
+// A vertex that no triangle uses may lie so far away that the lattice of all vertices is useless,
+// or that extents overflow.
+bool IsSound(const Lattice& lattice) {
+  const Vec3 o = lattice.origin;
+  return IsEdgeAllowed(lattice.edge) && std::isfinite(o.x) && std::isfinite(o.y) &&
+         std::isfinite(o.z);
+}
+
+// The bounds of all vertices; empty without a vertex list.
+Result<Bounds> BoundsOfVertices(MeshReader& reader) {
+  Bounds bounds;
+  auto visited = reader.VisitVertices([&](const VertexView& some) {
+    const Bounds more = some.f32.empty() ? BoundsOf(some.f64) : BoundsOf(some.f32);
+    if (!more.empty()) bounds.Add(more.min), bounds.Add(more.max);
+  });
+  if (!visited) return Forward(visited);
+  return bounds;
+}
+
+// The same for the smallest ball; kEmptySurface without a vertex list.
+Result<StreamedBall> BallOfVertices(MeshReader& reader) {
+  if (reader.vertices().size() > 0) return EnclosingBallOfVertices(reader.vertices());
+  return EnclosingBallOfStream([&](const PointVisitor& visit) -> Result<void> {
+    auto visited = reader.VisitVertices([&](const VertexView& some) {
+      for (std::size_t i = 0; i < some.size(); ++i) {
+        const Vec3 p = some[i];
+        if (std::isfinite(p.x + p.y + p.z)) visit(p);
+      }
+    });
+    if (!visited) return Forward(visited);
+    return {};
+  });
+}
+
+using MaybeChoice = std::optional<LatticeChoice>;
+
+Result<MaybeChoice> FromVertices(MeshReader& reader, const LatticeSpec& spec) {
+  LatticeChoice choice;
+  if (const auto* voxel = std::get_if<VoxelSize>(&spec)) {
+    choice.lattice = LatticeFor(*voxel);
+    return MaybeChoice(choice);
+  }
+  if (const auto* resolution = std::get_if<Resolution>(&spec)) {
+    const auto found = BoundsOfVertices(reader);
+    if (!found) return Forward(found);
+    const Bounds& bounds = *found;
+    if (bounds.empty() || bounds.min == bounds.max) return MaybeChoice();
+    choice.bounds = bounds;
+    choice.lattice = LatticeFor(bounds, *resolution);
+    return IsSound(choice.lattice) ? MaybeChoice(choice) : MaybeChoice();
+  }
+  const auto ball = BallOfVertices(reader);
+  if (!ball && ball.error().code != ErrorCode::kEmptySurface) return Forward(ball);
+  if (!ball || ball->support.size() > kMaxProbes) return MaybeChoice();
+  for (const Vec3& p : ball->support) choice.probes.push_back(HashVertex(p));
+  choice.lattice = LatticeFor(ball->ball.center, ball->ball.radius, std::get<Height>(spec));
+  return IsSound(choice.lattice) ? MaybeChoice(choice) : MaybeChoice();
+}
+
+// --- Shares of the memory budget --------------------------------------------------------------
+
+struct ScanPlan {
+  StoreLimits store;
+  int threads;
+  std::size_t most_batches;
+};
+
+// Each worker's buffers come first; what is left goes to the reservoirs.
+Result<ScanPlan> PlanScan(const SampleOptions& options, RunContext& context) {
+  ScanPlan plan;
+  plan.threads = tbb::this_task_arena::max_concurrency();
+  plan.most_batches = kMostBatches;
+  plan.store.max_cells = options.max_cells;
+  plan.store.barycentric = (options.attributes & kBarycentric) != 0;
+  const MemoryAccount& memory = context.memory();
+  if (!memory.limited()) return plan;
+  plan.store.scratch = context.scratch();
+  plan.store.context = &context;
+  const std::uint64_t left = memory.left();
+  std::uint64_t worker = WorkerBytes(options.batch_size, plan.most_batches);
+  if (left / 8 / worker < static_cast<std::uint64_t>(plan.threads)) {
+    plan.most_batches = 2;
+    worker = WorkerBytes(options.batch_size, plan.most_batches);
+  }
+  const std::uint64_t least = 2 * worker;
+  if (left < least) {
+    return Fail(ErrorCode::kOverBudget, "the scan needs at least " + std::to_string(least) +
+                                            " bytes of the memory budget; " + std::to_string(left) +
+                                            " of " + std::to_string(memory.budget()) + " are left");
+  }
+  // A third of it at most for the workers.
+  plan.threads = static_cast<int>(
+      std::clamp<std::uint64_t>(left / 3 / worker, 1, static_cast<std::uint64_t>(plan.threads)));
+  plan.store.max_bytes = (left - static_cast<std::uint64_t>(plan.threads) * worker) / 10 * 9;
+  if (plan.store.scratch == nullptr) {
+    plan.store.max_cells = std::min(plan.store.max_cells, plan.store.max_bytes / kBytesPerCell);
+  }
+  return plan;
+}
+
+class ScanJob {
+ public:
+  ScanJob(MeshReader& reader, const SampleOptions& options, RunContext& context)
+      : reader_(reader), options_(options), context_(context) {}
+
+  Result<ScannedMesh> Run(const Share& share, const std::optional<Lattice>& lattice) {
+    share_ = share;
+    // The lattice is that of the whole surface, whatever share the reader gave before.
+    reader_.SelectShare({});
+    const bool whole = share.count == 1 && !lattice;
+    if (auto scanned = whole ? Scan() : ScanPart(lattice); !scanned) return Forward(scanned);
+    return std::move(result_);
+  }
+
+ private:
+  SampleStats& stats() { return result_.stats; }
+
+  // A share alone cannot tell whether a lattice of all vertices is that of the surface.
+  Result<void> ScanPart(const std::optional<Lattice>& lattice) {
+    stats().passes = 0;
+    LatticeChoice choice;
+    if (lattice) {
+      choice.lattice = *lattice;
+    } else if (const auto* voxel = std::get_if<VoxelSize>(&options_.lattice)) {
+      choice.lattice = LatticeFor(*voxel);
+    } else {
+      auto exact = FromSurface(reader_, options_.lattice, stats().passes, context_);
+      if (!exact) return Forward(exact);
+      choice = *exact;
+    }
+    auto totals = ScanOn(choice);
+    if (!totals) return Forward(totals);
+    return Note(choice, *totals);
+  }
+
+  Result<void> Scan() {
+    const auto start = Clock::now();
+    stats().passes = 0;
+    auto from_vertices = FromVertices(reader_, options_.lattice);
+    if (!from_vertices) return Forward(from_vertices);
+    MaybeChoice choice = *from_vertices;
+    if (!choice) {
+      auto exact = FromSurface(reader_, options_.lattice, stats().passes, context_);
+      if (!exact) return Forward(exact);
+      choice = *exact;
+    }
+    stats().lattice_seconds = SecondsSince(start);
+    auto totals = ScanOn(*choice);
+    if (!totals) return Forward(totals);
+    if (totals->batch.usable == 0) {
+      return Fail(ErrorCode::kEmptySurface, "no triangle of positive area among " +
+                                                std::to_string(reader_.counts().triangles) +
+                                                " triangles");
+    }
+    if (!choice->Holds(totals->batch)) {
+      auto exact = FromSurface(reader_, options_.lattice, stats().passes, context_);
+      if (!exact) return Forward(exact);
+      choice = *exact;
+      totals = ScanOn(*choice);
+      if (!totals) return Forward(totals);
+    }
+    return Note(*choice, *totals);
+  }
+
+  Result<ScanTotals> ScanOn(const LatticeChoice& choice) {
+    const double edge = choice.lattice.edge;
+    if (!IsEdgeAllowed(edge)) {
+      return Fail(ErrorCode::kOverBudget, "the cells' edge would be " + Number(edge) +
+                                              "; expected 1e-60 to 1e60; use other units");
+    }
+    const auto start = Clock::now();
+    context_.SetStage(RunContext::Stage::kScan);
+    const auto plan = PlanScan(options_, context_);
+    if (!plan) return Forward(plan);
+    result_.store = std::make_unique<ReservoirStore>(plan->store);
+    ScanOptions scan;
+    scan.kernel = {choice.lattice, options_.lambda, options_.seed, choice.probes};
+    scan.integrator = options_.integrator;
+    scan.barycentric = (options_.attributes & kBarycentric) != 0;
+    scan.strict = options_.strict;
+    scan.threads = plan->threads;
+    scan.batch_size = options_.batch_size;
+    ++stats().passes;
+    scan.most_batches = plan->most_batches;
+    scan.share = share_;
+    auto totals = ScanTriangles(reader_, scan, *result_.store, context_);
+    stats().scan_seconds += SecondsSince(start);
+    return totals;
+  }
+
+  Result<void> Note(const LatticeChoice& choice, const ScanTotals& totals) {
+    SampleStats& s = stats();
+    s.read = totals.read;
+    for (std::size_t r = 0; r < s.skipped.size(); ++r) {
+      s.skipped[r] = totals.skipped[r] + s.read.skipped[r];
+    }
+    s.sampled = totals.batch.usable - totals.thin;
+    s.bounds = totals.batch.bounds;
+    result_.surface = totals.batch.surface;
+    s.mesh_area = totals.batch.area;
+    s.lattice = choice.lattice;
+    s.pieces = totals.pieces;
+    s.surface_hash = HexOf(totals.batch.surface);
+    for (std::size_t r = 0; options_.strict && r < s.skipped.size(); ++r) {
+      if (s.skipped[r] == 0) continue;
+      return Fail(ErrorCode::kCorruptInput, std::to_string(s.skipped[r]) +
+                                                " triangles skipped: " + kSkipReasonNames[r] +
+                                                "; --strict wants every triangle to count");
+    }
+    if (s.sampled == 0 && share_.count == 1) {
+      return Fail(ErrorCode::kEmptySurface,
+                  "no triangle is wider than the rounding of its corners' coordinates");
+    }
+    return {};
+  }
+
+  static double SecondsSince(Clock::time_point start) {
+    return std::chrono::duration<double>(Clock::now() - start).count();
+  }
+
+  MeshReader& reader_;
+  const SampleOptions& options_;
+  RunContext& context_;
+  Share share_;
+  ScannedMesh result_;
+};
+
+// Runs `work` on as many threads as the options say.
+template <class F>
+auto InArena(const SampleOptions& options, F&& work) {
+  const int threads = options.threads > 0 ? options.threads : tbb::info::default_concurrency();
+  // Without this, TBB would not start more workers than there are processors.
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism,
+                                  static_cast<std::size_t>(threads));
+  tbb::task_arena arena(threads);
+  return arena.execute(work);
+}
+
+}  // namespace
+
+std::string HexOf(const SurfaceHash& surface) {
+  char hash[33];
+  std::snprintf(hash, sizeof hash, "%016llx%016llx", static_cast<unsigned long long>(surface.high),
+                static_cast<unsigned long long>(surface.low));
+  return hash;
+}
+
+Result<ScannedMesh> ScanMesh(MeshReader& reader, const SampleOptions& options, const Share& share,
+                             const std::optional<Lattice>& lattice, RunContext& context) {
+  if (auto valid = CheckOptions(options); !valid) return Forward(valid);
+  return InArena(options, [&] { return ScanJob(reader, options, context).Run(share, lattice); });
+}
+
+Result<SampledMesh> GatherSamples(ScannedMesh scanned, const SampleOptions& options,
+                                  RunContext& context) {
+  return InArena(options, [&]() -> Result<SampledMesh> {
+    SampleStats& s = scanned.stats;
+    const GatherOptions gather{s.lattice, s.bounds, options.min_distance, options.attributes,
+                               options.integrator == Integrator::kSubdivide};
+    const ReservoirGrid& grid = scanned.store->grid();
+    const std::uint64_t needed = grid.bytes() + grid.size() * kGatherBytesPerCell;
+    const bool fits = scanned.store->in_memory() && needed <= context.memory().left();
+    auto gathered = fits ? GatherInMemory(std::move(scanned.store), gather, context)
+                         : GatherInPasses(std::move(scanned.store), gather, context);
+    if (!gathered) return Forward(gathered);
+    s.cells = gathered->cells;
+    s.cell_area = gathered->cell_area;
+    s.survivors = gathered->survivors;
+    s.reject_seconds = gathered->reject_seconds;
+    return SampledMesh{std::move(s), gathered->bounds, std::move(gathered->samples)};
+  });
+}
+
+Result<SampledMesh> SampleMeshStreamed(MeshReader& reader, const SampleOptions& options,
+                                       RunContext& context) {
+  auto scanned = ScanMesh(reader, options, {}, {}, context);
+  if (!scanned) return Forward(scanned);
+  return GatherSamples(std::move(*scanned), options, context);
+}
+
+Result<SampleResult> SampleMesh(MeshReader& reader, const SampleOptions& options,
+                                RunContext& context) {
+  auto sampled = SampleMeshStreamed(reader, options, context);
+  if (!sampled) return Forward(sampled);
+  SampleResult result{{}, std::move(sampled->stats)};
+  SampleColumns next;
+  for (;;) {
+    const auto more = sampled->samples->Next(next);
+    if (!more) return Forward(more);
+    if (!*more) return result;
+    result.samples.Append(std::move(next));
+  }
+}
+
+}  // namespace strata

@@ -1,0 +1,78 @@
+// The samples of a job, and the door through which they leave: io/ implements SampleWriter per
+// file format.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "core/result.h"
+#include "core/vec3.h"
+
+namespace strata {
+
+/// What can stand beside a sample's position. Values are bits of an AttributeSet.
+enum Attribute : std::uint32_t {
+  kNormal = 1,    ///< Unit face normal, counter-clockwise corners seen from outside; 3 × float32.
+  kTriangle = 2,  ///< Position of its triangle in file order, from 0; uint64.
+  kBarycentric = 4,  ///< Weights of the triangle's corners in file order, sum 1; 3 × float64.
+  kCell = 8,         ///< The lattice cell that drew the sample; 3 × int32.
+  kArea = 16,        ///< Surface inside that cell, world units squared; float64.
+};
+using AttributeSet = std::uint32_t;
+inline constexpr AttributeSet kAllAttributes = 31;
+
+/// Names on the command line, on the wire and in files, in the order of the bits.
+inline constexpr std::array<const char*, 5> kAttributeNames = {"normal", "triangle", "barycentric",
+                                                               "cell", "area"};
+
+/// Samples as columns of equal length. A column that was not asked for is empty.
+struct SampleColumns {
+  std::vector<Vec3> position;  ///< World units. Always present.
+  std::vector<Vec3f> normal;
+  std::vector<std::uint64_t> triangle;
+  std::vector<std::array<double, 3>> barycentric;
+  std::vector<Cell> cell;
+  std::vector<double> area;
+
+  std::size_t size() const { return position.size(); }
+  /// Adds samples with the same columns at the end.
+  void Append(SampleColumns&& more);
+};
+
+/// Samples on their way out, in canonical order: by block of 8^3 cells, then by cell. Threads: one.
+class SampleSource {
+ public:
+  virtual ~SampleSource() = default;
+  /// Replaces `out` by the next samples, any number above 0; false at the end. Errors: kIo,
+  /// kCorruptInput (a damaged run).
+  virtual Result<bool> Next(SampleColumns& out) = 0;
+};
+
+/// What a writer must know before the first sample.
+struct SampleHeader {
+  std::uint64_t count = 0;  ///< Samples that will be written.
+  AttributeSet attributes = kNormal;
+  double edge = 1;            ///< The cell's edge `e`, world units.
+  Vec3 lattice_origin;        ///< A corner of the cell (0,0,0); world units.
+  Bounds bounds;              ///< Encloses every position; world units.
+  double position_error = 0;  ///< Largest distance a lossy format may move a sample, world units.
+  std::string provenance;     ///< One line of JSON: version, surface hash, options, seed.
+};
+
+/// Takes the samples of one job, in the order in which they shall stand in the file.
+///
+/// Call Write any number of times, then Finish once. The output appears under its name only in
+/// Finish; a writer destroyed before leaves nothing. Threads: one at a time.
+class SampleWriter {
+ public:
+  virtual ~SampleWriter() = default;
+  /// Columns must match the header's attributes. Errors: kIo, kOverBudget.
+  virtual Result<void> Write(const SampleColumns& columns) = 0;
+  /// Errors: kIo; kInternal when the number of samples differs from the header's count.
+  /// Returns the number of bytes of the output.
+  virtual Result<std::uint64_t> Finish() = 0;
+};
+
+}  // namespace strata

@@ -1,0 +1,37 @@
+// The two halves of the main job, which may run on different machines.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "core/reservoir_store.h"
+#include "core/sample_mesh.h"
+#include "core/scan.h"
+#include "core/triangle_hash.h"
+
+namespace strata {
+
+/// What a scan leaves. Of `stats` everything up to the samples is known.
+struct ScannedMesh {
+  SampleStats stats;
+  SurfaceHash surface;
+  std::unique_ptr<ReservoirStore> store;
+};
+
+/// 32 hex digits.
+std::string HexOf(const SurfaceHash& surface);
+
+/// Scans one share of the triangles of `reader`, of which nothing was read since opening or Rewind;
+/// other shares' are not even read where the file allows it, and the share stays selected. Over all
+/// shares stats.read, skipped, sampled and pieces add up to the whole mesh's. Without `lattice` a
+/// share of several finds the lattice in passes over the whole surface; `lattice`, if given, must
+/// be what those would find. Errors: as SampleMesh; a share may hold no triangle.
+Result<ScannedMesh> ScanMesh(MeshReader& reader, const SampleOptions& options, const Share& share,
+                             const std::optional<Lattice>& lattice, RunContext& context);
+
+/// Decides the samples of a whole surface. Errors: as SampleMesh.
+Result<SampledMesh> GatherSamples(ScannedMesh scanned, const SampleOptions& options,
+                                  RunContext& context);
+
+}  // namespace strata

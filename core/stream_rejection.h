@@ -1,0 +1,44 @@
+// The minimum distance on samples that stream past.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "core/block.h"
+#include "core/gather.h"
+#include "core/result.h"
+#include "core/run_context.h"
+
+namespace strata {
+
+/// Which of numbered samples survive.
+class Survivors {
+ public:
+  explicit Survivors(std::uint64_t samples) : bits_((samples + 63) / 64) {}
+  void Add(std::uint64_t number) { bits_[number / 64] |= std::uint64_t{1} << (number % 64); }
+  bool Has(std::uint64_t number) const { return (bits_[number / 64] >> (number % 64) & 1) != 0; }
+  static std::uint64_t BytesFor(std::uint64_t samples) { return samples / 8 + 8; }
+
+  std::uint64_t count = 0;
+  Bounds bounds;  ///< World units.
+
+ private:
+  std::vector<std::uint64_t> bits_;
+};
+
+/// The sample of a reservoir in world units, kept within the surface's bounds.
+Vec3 PositionOf(const GatherOptions& options, Cell cell, const Reservoir& reservoir);
+
+/// Decides as RejectClosePoints does on all samples at once, which `stream` hands over block by
+/// block. `blocks` are the places of all blocks, ascending; `samples` is their number.
+///
+/// A component of the conflict graph is settled as soon as none of its samples can be close to one
+/// in a block that is still to come (docs/adr/0009); the others stay in a window of at most
+/// `window_bytes`. Errors: the stream's; kCancelled; kOverBudget when the window is too small for
+/// what hangs together, with the number of bytes it needs at least.
+Result<Survivors> RejectStream(BlockStream& stream, std::span<const Cell> blocks,
+                               std::uint64_t samples, const GatherOptions& options,
+                               std::uint64_t window_bytes, RunContext& context);
+
+}  // namespace strata
