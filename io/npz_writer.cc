@@ -1,0 +1,275 @@
+#include <archive.h>
+#include <archive_entry.h>
+
+#include <algorithm>
+#include <bit>
+#include <limits>
+#include <memory>
+#include <new>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "io/checked_writer.h"
+#include "io/format_writers.h"
+#include "io/spool.h"
+
+namespace strata::io {
+namespace {
+
+static_assert(std::endian::native == std::endian::little,
+              "arrays are copied as they lie in memory");
+
+// The front of a .npy file, version 1.0: padded so that the data begins at a multiple of 64.
+std::string NpyHeader(const std::string& type, const std::string& shape) {
+  std::string dict =
+      "{'descr': '" + type + "', 'fortran_order': False, 'shape': (" + shape + "), }";
+  constexpr std::size_t kPrefix = 10;
+  dict.append(63 - (kPrefix + dict.size()) % 64, ' ');
+  dict += '\n';
+  std::string header("\x93NUMPY\x01\x00", 8);
+  header += static_cast<char>(dict.size() & 255);
+  header += static_cast<char>(dict.size() >> 8);
+  return header + dict;
+}
+
+// UTF-8 to code points; what is not UTF-8 becomes U+FFFD, byte by byte.
+std::u32string DecodeUtf8(std::string_view text) {
+  std::u32string points;
+  for (std::size_t i = 0; i < text.size();) {
+    const auto lead = static_cast<unsigned char>(text[i]);
+    const int length = lead < 0x80 ? 1 : std::countl_one(lead);
+    bool good = length == 1 ? lead < 0x80 : length <= 4 && i + length <= text.size();
+    char32_t point = length == 1 ? lead : lead & (0x7F >> length);
+    for (int k = 1; good && k < length; ++k) {
+      const auto next = static_cast<unsigned char>(text[i + static_cast<std::size_t>(k)]);
+      good = (next & 0xC0) == 0x80;
+      point = point << 6 | (next & 0x3F);
+    }
+    static constexpr char32_t kSmallest[] = {0, 0, 0x80, 0x800, 0x10000};
+    good = good && point >= kSmallest[length] && point <= 0x10FFFF && (point >> 11) != 0x1B;
+    points += good ? point : U'\uFFFD';
+    i += good ? static_cast<std::size_t>(length) : 1;
+  }
+  return points;
+}
+
+struct FreeArchive {
+  void operator()(archive* a) const { archive_write_free(a); }
+};
+struct FreeEntry {
+  void operator()(archive_entry* e) const { archive_entry_free(e); }
+};
+
+// A zip of stored members with fixed dates, written into an AtomicFile.
+class StoredZip {
+ public:
+  StoredZip(AtomicFile& file, const RunContext* context)
+      : file_(file), context_(context), archive_(archive_write_new()) {}
+
+  Result<void> Open() {
+    archive* a = archive_.get();
+    // Unblocked, because libarchive would pad the file to a tape's record otherwise.
+    const bool good = a != nullptr && archive_write_set_format_zip(a) == ARCHIVE_OK &&
+                      archive_write_zip_set_compression_store(a) == ARCHIVE_OK &&
+                      archive_write_set_bytes_per_block(a, 0) == ARCHIVE_OK &&
+                      archive_write_open(a, this, nullptr, &StoredZip::Take, nullptr) == ARCHIVE_OK;
+    return good ? Result<void>() : Failure();
+  }
+
+  // A member `name`.npy: `header`, then all bytes of `data`, which gives its space back.
+  Result<void> Add(const std::string& name, const std::string& header, Spool& data) {
+    if (auto begun = Begin(name, header, data.size()); !begun) return begun;
+    std::vector<char> portion(kPortion);
+    for (std::uint64_t done = 0; done < data.size();) {
+      if (context_ != nullptr && context_->cancelled()) return Cancelled();
+      const std::uint64_t n = std::min<std::uint64_t>(portion.size(), data.size() - done);
+      const std::span<char> part(portion.data(), n);
+      if (auto read = data.Read(done, part); !read) return read;
+      if (auto put = Put(part); !put) return put;
+      data.DiscardBefore(done += n);
+    }
+    return {};
+  }
+  // As above, with data at hand.
+  Result<void> Add(const std::string& name, const std::string& header, std::span<const char> data) {
+    if (auto begun = Begin(name, header, data.size()); !begun) return begun;
+    return Put(data);
+  }
+
+  Result<void> Close() {
+    return archive_write_close(archive_.get()) == ARCHIVE_OK ? Result<void>() : Failure();
+  }
+
+ private:
+  static la_ssize_t Take(archive* a, void* self, const void* bytes, std::size_t size) {
+    auto& zip = *static_cast<StoredZip*>(self);
+    auto written = zip.file_.Write({static_cast<const char*>(bytes), size});
+    if (written) return static_cast<la_ssize_t>(size);
+    zip.error_ = written.error();
+    archive_set_error(a, EIO, "write failed");
+    return -1;
+  }
+
+  static constexpr std::size_t kPortion = std::size_t{1} << 18;
+
+  // A member's header in the zip, and the array's own. Told its size first, libarchive writes zip64
+  // where that needs it.
+  Result<void> Begin(const std::string& name, const std::string& header, std::uint64_t bytes) {
+    const std::unique_ptr<archive_entry, FreeEntry> entry(archive_entry_new());
+    if (!entry) return Fail(ErrorCode::kOverBudget, file_.name() + ": out of memory");
+    archive_entry_set_pathname(entry.get(), (name + ".npy").c_str());
+    archive_entry_set_filetype(entry.get(), AE_IFREG);
+    archive_entry_set_perm(entry.get(), 0644);
+    // No time is set: the zip then says 1980-01-01, whatever the clock and the time zone.
+    archive_entry_set_size(entry.get(), static_cast<la_int64_t>(header.size() + bytes));
+    if (archive_write_header(archive_.get(), entry.get()) != ARCHIVE_OK) return Failure();
+    return Put({header.data(), header.size()});
+  }
+
+  Result<void> Put(std::span<const char> bytes) {
+    while (!bytes.empty()) {
+      const la_ssize_t n = archive_write_data(archive_.get(), bytes.data(), bytes.size());
+      if (n <= 0) return Failure();
+      bytes = bytes.subspan(static_cast<std::size_t>(n));
+    }
+    return {};
+  }
+
+  tl::unexpected<Error> Failure() {
+    if (error_) return tl::unexpected<Error>(*error_);
+    const char* reason = archive_ ? archive_error_string(archive_.get()) : nullptr;
+    return Fail(ErrorCode::kIo,
+                file_.name() + ": cannot write the zip: " + (reason ? reason : "out of memory"));
+  }
+
+  AtomicFile& file_;
+  const RunContext* context_;
+  std::optional<Error> error_;
+  std::unique_ptr<archive, FreeArchive> archive_;
+};
+
+template <class T>
+std::string_view BytesOf(const std::vector<T>& column) {
+  return {reinterpret_cast<const char*>(column.data()), column.size() * sizeof(T)};
+}
+
+// What an array is called, its type, the numbers of a sample in it, and their bytes.
+struct ArrayKind {
+  AttributeSet attribute;  // 0: always there.
+  const char* name;
+  const char* type;
+  int components;
+  std::uint64_t sample_bytes;
+};
+constexpr ArrayKind kArrays[] = {
+    {0, "position", "<f8", 3, 24},        {kNormal, "normal", "<f4", 3, 12},
+    {kTriangle, "triangle", "<u8", 1, 8}, {kBarycentric, "barycentric", "<f8", 3, 24},
+    {kCell, "cell", "<i4", 3, 12},        {kArea, "area", "<f8", 1, 8},
+};
+
+// Whole columns stand one after the other in the zip, so each waits in a spool of its own.
+class NpzWriter final : public FileWriter {
+ public:
+  NpzWriter(std::unique_ptr<AtomicFile> file, const SampleHeader& header, const RunContext* context)
+      : FileWriter(std::move(file), header), context_(context) {}
+
+  Result<void> OpenSpools(const WriterResources& resources) {
+    for (const ArrayKind& kind : kArrays) {
+      if (kind.attribute != 0 && (header().attributes & kind.attribute) == 0) continue;
+      if (header().count > kMostBytes / kind.sample_bytes) {
+        return Fail(ErrorCode::kOverBudget, name() + ": " + std::to_string(header().count) +
+                                                " samples are more than a file can hold");
+      }
+      auto spool =
+          Spool::Open(resources.scratch, resources.memory, header().count * kind.sample_bytes,
+                      name() + ": the column '" + kind.name + "'");
+      if (!spool) return Forward(spool);
+      arrays_.push_back({&kind, std::move(*spool)});
+    }
+    return {};
+  }
+
+ protected:
+  Result<void> Append(const SampleColumns& columns) override {
+    for (const Array& array : arrays_) {
+      if (auto added = array.spool->Append(BytesIn(columns, *array.kind)); !added) return added;
+    }
+    return {};
+  }
+
+  Result<std::uint64_t> Complete() override try {
+    StoredZip zip(file(), context_);
+    auto done = zip.Open();
+    if (done) done = AddProvenance(zip);
+    for (Array& array : arrays_) {
+      if (done) done = AddArray(zip, array);
+    }
+    if (done) done = zip.Close();
+    if (!done) return Forward(done);
+    return file().Finish();
+  } catch (const std::bad_alloc&) {
+    return Fail(ErrorCode::kOverBudget, name() + ": out of memory; ply and xyz need none");
+  }
+
+ private:
+  // The largest file of Linux.
+  static constexpr std::uint64_t kMostBytes = std::numeric_limits<std::int64_t>::max() / 8;
+
+  struct Array {
+    const ArrayKind* kind;
+    std::unique_ptr<Spool> spool;  // Null once it is in the zip.
+  };
+
+  static std::string_view BytesIn(const SampleColumns& columns, const ArrayKind& kind) {
+    switch (kind.attribute) {
+      case kNormal:
+        return BytesOf(columns.normal);
+      case kTriangle:
+        return BytesOf(columns.triangle);
+      case kBarycentric:
+        return BytesOf(columns.barycentric);
+      case kCell:
+        return BytesOf(columns.cell);
+      case kArea:
+        return BytesOf(columns.area);
+      default:
+        return BytesOf(columns.position);
+    }
+  }
+
+  Result<void> AddProvenance(StoredZip& zip) {
+    std::u32string text = DecodeUtf8(header().provenance);
+    const std::string type = "<U" + std::to_string(text.size());
+    return zip.Add("provenance", NpyHeader(type, ""),
+                   std::span<const char>(reinterpret_cast<const char*>(text.data()),
+                                         text.size() * sizeof(char32_t)));
+  }
+
+  Result<void> AddArray(StoredZip& zip, Array& array) {
+    const ArrayKind& kind = *array.kind;
+    std::string shape = std::to_string(header().count) + ",";
+    if (kind.components > 1) shape += " " + std::to_string(kind.components);
+    auto added = zip.Add(kind.name, NpyHeader(kind.type, shape), *array.spool);
+    array.spool.reset();
+    return added;
+  }
+
+  const RunContext* context_;
+  std::vector<Array> arrays_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<SampleWriter>> MakeNpzWriter(std::unique_ptr<AtomicFile> file,
+                                                    const SampleHeader& header,
+                                                    const WriterResources& resources) {
+  auto writer = std::make_unique<NpzWriter>(std::move(file), header, resources.context);
+  if (auto opened = writer->OpenSpools(resources); !opened) return Forward(opened);
+  return writer;
+}
+
+}  // namespace strata::io

@@ -1,0 +1,38 @@
+#include "io/sample_rows.h"
+
+#include <bit>
+
+namespace strata::io {
+namespace {
+
+constexpr std::array<std::size_t, kAttributeNames.size()> kBytes = {
+    sizeof(Vec3f), sizeof(std::uint64_t), sizeof(std::array<double, 3>), sizeof(Cell),
+    sizeof(double)};
+
+}  // namespace
+
+RowLayout::RowLayout(AttributeSet attributes) : attributes_(attributes) {
+  for (std::size_t k = 0; k < kBytes.size(); ++k) {
+    at_[k] = bytes_;
+    if ((attributes >> k & 1) != 0) bytes_ += kBytes[k];
+  }
+}
+
+std::size_t RowLayout::At(Attribute attribute) const {
+  return at_[static_cast<std::size_t>(std::countr_zero(static_cast<AttributeSet>(attribute)))];
+}
+
+void RowLayout::Pack(const SampleColumns& columns, std::size_t i, char* out) const {
+  const auto put = [&](Attribute attribute, const auto& column) {
+    if ((attributes_ & attribute) == 0) return;
+    std::memcpy(out + At(attribute), &column[i], sizeof column[i]);
+  };
+  std::memcpy(out, &columns.position[i], sizeof(Vec3));
+  put(kNormal, columns.normal);
+  put(kTriangle, columns.triangle);
+  put(kBarycentric, columns.barycentric);
+  put(kCell, columns.cell);
+  put(kArea, columns.area);
+}
+
+}  // namespace strata::io

@@ -1,0 +1,78 @@
+#include "io/tileset_json.h"
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+#include <utility>
+
+#include "io/sha256.h"
+
+namespace strata::io {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr int kVersion = 1;
+
+Json ToJson(Vec3 v) { return Json::array({v.x, v.y, v.z}); }
+
+// What is not UTF-8 is replaced, never thrown at.
+std::string Dump(const Json& json, int indent) {
+  return json.dump(indent, ' ', false, Json::error_handler_t::replace);
+}
+
+// Where a decoder puts a point: all of this is exact.
+Vec3 Decoded(const FloatGrid& grid, Vec3 p) {
+  const auto value = grid.ValueAt(grid.Quantize(p));
+  return grid.offset + Vec3{value[0], value[1], value[2]};
+}
+
+Json FirstStep(const FloatGrid& grid) {
+  const Vec3 front = grid.offset + grid.origin;
+  Json steps = Json::array();
+  for (int a = 0; a < 3; ++a) steps.push_back(static_cast<std::int64_t>(front[a] / grid.step));
+  return steps;
+}
+
+}  // namespace
+
+TilesetJson::TilesetJson(const SampleHeader& header, std::uint64_t tile_samples, double step) {
+  Json names = Json::array({"position"});
+  for (std::size_t k = 0; k < kAttributeNames.size(); ++k) {
+    if ((header.attributes >> k & 1) != 0) names.push_back(kAttributeNames[k]);
+  }
+  const Json head = {
+      {"format", "strata-tiles"},
+      {"version", kVersion},
+      {"provenance", header.provenance},
+      {"count", header.count},
+      {"attributes", names},
+      {"lattice", {{"origin", ToJson(header.lattice_origin)}, {"edge", header.edge}}},
+      {"position_error", header.position_error},
+      {"position_step", step},
+      {"tile_samples", tile_samples}};
+  text_ = Dump(head, 1);
+  text_.resize(text_.size() - 2);  // Without "\n}": more follows.
+  text_ += ",\n \"tiles\": [";
+}
+
+Result<void> TilesetJson::Add(const std::string& path, std::uint64_t count,
+                              std::span<const char> bytes, const FloatGrid& grid,
+                              const Bounds& box) {
+  std::string hash = Sha256Hex(bytes);
+  if (hash.empty()) return Fail(ErrorCode::kInternal, path + ": no SHA-256 can be made");
+  // Rounding to the grid keeps order, so the box's corners become the decoded box's.
+  const Json tile = {{"path", path},
+                     {"count", count},
+                     {"bytes", bytes.size()},
+                     {"sha256", std::move(hash)},
+                     {"min", ToJson(Decoded(grid, box.min))},
+                     {"max", ToJson(Decoded(grid, box.max))},
+                     {"first_step", FirstStep(grid)}};
+  text_ += std::exchange(first_, false) ? "\n  " : ",\n  ";
+  text_ += Dump(tile, -1);
+  return {};
+}
+
+std::string TilesetJson::Finish() { return std::move(text_) + "\n ]\n}\n"; }
+
+}  // namespace strata::io
