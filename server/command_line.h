@@ -1,0 +1,79 @@
+// From argv to a checked command. Nothing here touches a file.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <variant>
+#include <vector>
+
+#include "core/result.h"
+#include "core/sample_mesh.h"
+#include "core/scan.h"
+#include "io/sample_writer.h"
+
+namespace strata::server {
+
+/// `strata sample INPUT -o OUTPUT`, every value within its range.
+struct SampleCommand {
+  std::string input;   ///< Path, or "-" for standard input.
+  std::string output;  ///< Path, or "-" for standard output.
+  SampleOptions options;
+  io::SampleFormat format = io::SampleFormat::kDraco;
+  double position_error = 0.01;  ///< Fraction of the cell's edge; 1e-9 to 1.
+  std::uint64_t tile_samples = io::kDefaultTileSamples;  ///< In a Draco file; 1 to 2^29 - 1.
+  std::optional<std::string> summary;   ///< Where the JSON goes; "-" is standard output.
+  std::optional<std::string> picture;   ///< Where the PNG goes.
+  std::string simd = "auto";            ///< "auto" or the name of a vector instruction set.
+  std::optional<std::uint64_t> memory;  ///< Bytes, at least kLeastMemory; absent = half of all.
+  std::optional<std::string> scratch;   ///< Directory; absent = the system's.
+  bool quiet = false;
+};
+
+/// The smallest --memory, bytes.
+inline constexpr std::uint64_t kLeastMemory = std::uint64_t{64} << 20;
+
+/// `strata scan MESH --share I/N -o PART`. Of the job, what concerns scanning.
+struct ScanCommand {
+  SampleCommand job;
+  Share share;
+  std::optional<Lattice> lattice;  ///< What the lattice comes to, where that is known.
+};
+
+/// `strata merge PART... -o OUTPUT`. Of the job, what concerns gathering and writing.
+struct MergeCommand {
+  SampleCommand job;
+  std::vector<std::string> inputs;
+  bool to_partial = false;  ///< The output is a partial again.
+};
+
+/// `strata info MESH`.
+struct InfoCommand {
+  std::string input;  ///< Path, or "-" for standard input.
+  bool json = false;
+};
+
+/// `--help` or `--version`: what to print to standard output.
+struct ShowText {
+  std::string text;
+};
+
+using Command = std::variant<SampleCommand, ScanCommand, MergeCommand, InfoCommand, ShowText>;
+
+/// Parses the arguments (the program's name is not among them).
+///
+/// Errors: kInvalidArgument, for one problem at a time; the message names the option, what was
+/// found, its range and its default, or the nearest name for one that does not exist.
+Result<Command> ParseCommandLine(std::span<const std::string> arguments);
+
+/// Bytes of "268435456", "256M", "256MiB" or "1.5G": K, M, G and T are powers of 1024.
+/// Errors: kInvalidArgument.
+Result<std::uint64_t> ParseSize(std::string_view text);
+
+/// Bits of the names in a comma-separated list; "none" alone is the empty set.
+/// Errors: kInvalidArgument; the message lists the valid names.
+Result<AttributeSet> ParseAttributes(std::string_view list);
+
+}  // namespace strata::server

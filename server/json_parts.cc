@@ -1,0 +1,55 @@
+#include "server/json_parts.h"
+
+namespace strata::server {
+namespace {
+
+struct SpecToJson {
+  Json operator()(const Resolution& spec) const { return {{"resolution", spec.n}}; }
+  Json operator()(const VoxelSize& spec) const { return {{"voxel_size", spec.edge}}; }
+  Json operator()(const Height& spec) const { return {{"height", spec.h}}; }
+};
+
+}  // namespace
+
+Json ToJson(Vec3 v) { return Json::array({v.x, v.y, v.z}); }
+
+Json ToJson(const Bounds& bounds) {
+  if (bounds.empty()) return nullptr;
+  return {{"min", ToJson(bounds.min)}, {"max", ToJson(bounds.max)}};
+}
+
+Json ToJson(const MeshInfo& info) {
+  return {{"format", info.format}, {"encoding", info.encoding}, {"compression", info.compression}};
+}
+
+Json SkippedToJson(const SkipCounts& skipped) {
+  Json json = Json::object();
+  for (std::size_t i = 0; i < skipped.size(); ++i) json[kSkipReasonNames[i]] = skipped[i];
+  return json;
+}
+
+Json AttributesToJson(AttributeSet attributes) {
+  Json json = Json::array();
+  for (std::size_t bit = 0; bit < kAttributeNames.size(); ++bit) {
+    if (attributes & (AttributeSet{1} << bit)) json.push_back(kAttributeNames[bit]);
+  }
+  return json;
+}
+
+Json LatticeToJson(const LatticeSpec& spec, const Lattice& lattice) {
+  Json json = std::visit(SpecToJson{}, spec);
+  json["origin"] = ToJson(lattice.origin);
+  json["edge"] = lattice.edge;
+  return json;
+}
+
+Json OptionsToJson(const SampleOptions& options, double position_error) {
+  return {{"lambda", options.lambda},
+          {"min_distance", options.min_distance},
+          {"seed", options.seed},
+          {"integrator", options.integrator == Integrator::kExact ? "exact" : "subdivide"},
+          {"attributes", AttributesToJson(options.attributes)},
+          {"position_error", position_error}};
+}
+
+}  // namespace strata::server

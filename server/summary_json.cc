@@ -1,0 +1,134 @@
+#include "server/summary_json.h"
+
+#include <numeric>
+#include <sstream>
+
+#include "core/version.h"
+#include "server/human_units.h"
+#include "server/json_parts.h"
+#include "server/memory.h"
+
+namespace strata::server {
+namespace {
+
+Json ReadToJson(const ReadCounts& read, const SkipCounts& skipped) {
+  return {{"vertices", read.vertices},
+          {"faces", read.faces},
+          {"triangles", read.triangles},
+          {"skipped", SkippedToJson(skipped)}};
+}
+
+Json StagesToJson(const SampleStats& stats, const JobFigures& figures) {
+  const auto passes = static_cast<std::uint64_t>(stats.passes);
+  return {
+      {"open", {{"seconds", figures.open_seconds}, {"bytes", figures.open_bytes}}},
+      {"lattice",
+       {{"seconds", stats.lattice_seconds}, {"bytes", (passes - 1) * figures.scan_bytes}}},
+      {"scan", {{"seconds", stats.scan_seconds}, {"bytes", figures.scan_bytes}}},
+      {"reject", {{"seconds", stats.reject_seconds}}},
+      {"write", {{"seconds", figures.write_seconds}, {"bytes", figures.write_bytes}}},
+      {"picture", {{"seconds", figures.picture_seconds}}},
+  };
+}
+
+std::uint64_t Sum(const SkipCounts& skipped) {
+  return std::accumulate(skipped.begin(), skipped.end(), std::uint64_t{0});
+}
+
+/// " (zero_area 3, non_finite 1)"; empty when nothing was skipped.
+std::string SkippedByReason(const SkipCounts& skipped) {
+  std::string text;
+  for (std::size_t i = 0; i < skipped.size(); ++i) {
+    if (skipped[i] == 0) continue;
+    text += text.empty() ? " (" : ", ";
+    text += std::string(kSkipReasonNames[i]) + ' ' + Grouped(skipped[i]);
+  }
+  return text.empty() ? text : text + ')';
+}
+
+std::string PointText(Vec3 p) { return Short(p.x, 9) + ' ' + Short(p.y, 9) + ' ' + Short(p.z, 9); }
+
+std::string BoundsText(const Bounds& bounds) {
+  return bounds.empty() ? "none" : PointText(bounds.min) + "  to  " + PointText(bounds.max);
+}
+
+}  // namespace
+
+std::string SummaryJson(const SampleCommand& command, const SampleStats& stats,
+                        const JobFigures& figures) {
+  Json json = {{"program", "strata"},
+               {"version", kVersion},
+               {"input", command.input},
+               {"output", command.output},
+               {"surface_hash", stats.surface_hash},
+               {"mesh", ToJson(figures.mesh)}};
+  json["mesh"].update(ReadToJson(stats.read, stats.skipped));
+  json["mesh"]["sampled"] = stats.sampled;
+  json["mesh"]["bounds"] = ToJson(stats.bounds);
+  json["mesh"]["area"] = stats.mesh_area;
+  json["options"] = OptionsToJson(command.options, command.position_error);
+  json["lattice"] = LatticeToJson(command.options.lattice, stats.lattice);
+  json["cells"] = stats.cells;
+  json["cell_area"] = stats.cell_area;
+  json["pieces"] = stats.pieces;
+  json["samples"] = {{"before_rejection", stats.cells}, {"after_rejection", stats.survivors}};
+  json["passes"] = stats.passes;
+  json["stages"] = StagesToJson(stats, figures);
+  json["seconds"] = figures.total_seconds;
+  json["threads"] = figures.threads;
+  json["peak_memory_bytes"] = PeakMemoryBytes();
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + '\n';
+}
+
+std::string SummaryText(const SampleCommand& command, const SampleStats& stats,
+                        const JobFigures& figures) {
+  std::ostringstream out;
+  out << "samples    " << Grouped(stats.survivors) << " of " << Grouped(stats.cells)
+      << " occupied cells of edge " << Short(stats.lattice.edge) << '\n'
+      << "triangles  " << Grouped(stats.sampled) << ", skipped " << Grouped(Sum(stats.skipped))
+      << SkippedByReason(stats.skipped) << '\n'
+      << "area       " << Short(stats.mesh_area) << '\n'
+      << "time       " << Seconds(figures.total_seconds) << ": opening "
+      << Seconds(figures.open_seconds) << ", scan "
+      << Seconds(stats.lattice_seconds + stats.scan_seconds) << ", rejection "
+      << Seconds(stats.reject_seconds) << ", writing " << Seconds(figures.write_seconds);
+  if (command.picture) out << ", picture " << Seconds(figures.picture_seconds);
+  out << "\nwritten    " << (command.output == "-" ? "standard output" : command.output) << ", "
+      << Si(static_cast<double>(figures.write_bytes)) << "B\n";
+  if (command.picture) out << "picture    " << *command.picture << '\n';
+  return out.str();
+}
+
+std::string PartialText(const std::string& output, const PartialInfo& info, std::uint64_t bytes) {
+  std::ostringstream out;
+  out << "shares     " << info.shares.size() << " of " << info.share_count << '\n'
+      << "triangles  " << Grouped(info.sampled) << ", skipped " << Grouped(Sum(info.skipped))
+      << SkippedByReason(info.skipped) << '\n'
+      << "written    " << (output == "-" ? "standard output" : output) << ", "
+      << Si(static_cast<double>(bytes)) << "B\n";
+  return out.str();
+}
+
+std::string InfoJson(const MeshInfo& info, const MeshSummary& summary) {
+  Json json = ToJson(info);
+  json.update(ReadToJson(summary.read, summary.skipped));
+  json["surface_triangles"] = summary.surface_triangles;
+  json["bounds"] = ToJson(summary.bounds);
+  json["vertex_bounds"] = ToJson(summary.vertex_bounds);
+  json["area"] = summary.area;
+  return json.dump(2) + '\n';
+}
+
+std::string InfoText(const MeshInfo& info, const MeshSummary& summary) {
+  std::ostringstream out;
+  out << "format     " << info.format << ", " << info.encoding;
+  if (info.compression != "none") out << ", " << info.compression;
+  out << "\nvertices   " << Grouped(summary.read.vertices) << "\nfaces      "
+      << Grouped(summary.read.faces) << "\ntriangles  " << Grouped(summary.read.triangles)
+      << "\nskipped    " << Grouped(Sum(summary.skipped)) << SkippedByReason(summary.skipped)
+      << "\nbounds     " << BoundsText(summary.bounds) << "\narea       " << Short(summary.area)
+      << '\n';
+  return out.str();
+}
+
+}  // namespace strata::server
