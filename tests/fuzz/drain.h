@@ -1,0 +1,78 @@
+// Reading a whole mesh with bounded work: what every fuzz target does with what it opened.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <cstdlib>
+#include <memory>
+
+#include "core/mesh_reader.h"
+
+namespace strata::test {
+
+/// Aborts unless `holds`: a fuzz target's assertion, in every build.
+inline void Require(bool holds) {
+  if (!holds) std::abort();
+}
+
+/// What a fuzz target wants to know of a mesh, to compare two ways of reading it.
+struct Drained {
+  bool failed = false;
+  std::uint64_t triangles = 0;  ///< Delivered in batches.
+  double sum = 0;               ///< Of all finite coordinates, in order.
+  ReadCounts counts;
+};
+
+/// Reads to the end, an error or some million triangles, and checks what every reader promises:
+/// sizes within the batch, ids that increase and lie below counts().triangles, and that at the end
+/// every triangle was either delivered or counted as skipped.
+inline Drained Drain(MeshReader& reader, std::size_t batch_size) {
+  constexpr std::uint64_t kEnough = 1'000'000;
+  Drained drained;
+  TriangleBatch batch(batch_size);
+  std::uint64_t next_id = 0;
+  while (drained.triangles < kEnough) {
+    auto n = reader.Read(batch);
+    if (!n) {
+      Require(!n.error().message.empty() && n.error().code != ErrorCode::kInternal);
+      drained.failed = true;
+      break;
+    }
+    Require(*n == batch.size() && *n <= batch.capacity());
+    for (std::size_t i = 0; i < *n; ++i) {
+      Require(batch.ids()[i] >= next_id);
+      next_id = batch.ids()[i] + 1;
+      for (int k = 0; k < 9; ++k) {
+        const double value = batch.column(k)[i];
+        if (value - value == 0) drained.sum += value;
+      }
+    }
+    drained.triangles += *n;
+    Require(next_id <= reader.counts().triangles);
+    if (*n == 0) break;
+  }
+  drained.counts = reader.counts();
+  if (!drained.failed && drained.triangles < kEnough) {
+    std::uint64_t skipped = 0;
+    for (const std::uint64_t count : drained.counts.skipped) skipped += count;
+    Require(drained.triangles + skipped == drained.counts.triangles);
+  }
+  return drained;
+}
+
+/// Drains a reader twice, in batches of different sizes with Rewind between, and requires that both
+/// passes agree. An error to open is an answer too. `reader` may be taken apart.
+inline void DrainTwice(Result<std::unique_ptr<MeshReader>> reader) {
+  if (!reader) {
+    Require(!reader.error().message.empty() && reader.error().code != ErrorCode::kInternal);
+    return;
+  }
+  const Drained first = Drain(**reader, 64);
+  if (first.failed) return;
+  Require((*reader)->Rewind().has_value());
+  const Drained second = Drain(**reader, 7);
+  Require(!second.failed && second.counts.triangles == first.counts.triangles);
+  Require(second.sum == first.sum || first.sum - first.sum != 0);
+}
+
+}  // namespace strata::test

@@ -1,0 +1,14 @@
+// Arbitrary bytes as a STL file.
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+#include "io/stl_reader.h"
+#include "tests/fuzz/drain.h"
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  std::string bytes(reinterpret_cast<const char*>(data), size);
+  strata::test::DrainTwice(
+      strata::io::OpenStl(strata::io::MemorySource(std::move(bytes)), strata::io::OpenOptions{}));
+  return 0;
+}
