@@ -4,21 +4,16 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <chrono>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "core/rejection.h"
+#include "core/stopwatch.h"
 #include "core/stream_rejection.h"
 
 namespace strata {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-double SecondsSince(Clock::time_point start) {
-  return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 // Sums of cells' areas, whose order must not show.
 class AreaSum {
@@ -141,10 +136,6 @@ class PassJob {
   Result<Gathered> Run();
 
  private:
-  Result<std::unique_ptr<BlockStream>> Blocks() {
-    const std::uint64_t affordable = context_.memory().left() / 4 / kRunBufferBytes;
-    return store_->Blocks(static_cast<std::size_t>(std::clamp<std::uint64_t>(affordable, 2, 256)));
-  }
   Result<Overview> Survey();
   Result<Survivors> Reject(const Overview& overview);
 
@@ -193,7 +184,7 @@ class PassSource : public SampleSource {
 };
 
 Result<Overview> PassJob::Survey() {
-  auto stream = Blocks();
+  auto stream = store_->Blocks(context_.memory());
   if (!stream) return Forward(stream);
   Overview all;
   BlockReservoirs block;
@@ -216,7 +207,7 @@ Result<Overview> PassJob::Survey() {
 }
 
 Result<Survivors> PassJob::Reject(const Overview& overview) {
-  auto stream = Blocks();
+  auto stream = store_->Blocks(context_.memory());
   if (!stream) return Forward(stream);
   context_.SetStage(RunContext::Stage::kReject);
   return RejectStream(**stream, overview.blocks, overview.cells, options_,
@@ -232,7 +223,7 @@ Result<Gathered> PassJob::Run() {
   out.bounds = overview->bounds;
   std::optional<Survivors> survivors;
   MemoryShare share;
-  const auto start = Clock::now();
+  const Stopwatch watch;
   if (options_.min_distance > 0) {
     auto bits = context_.memory().Take(Survivors::BytesFor(out.cells), "the list of survivors");
     if (!bits) return Forward(bits);
@@ -243,8 +234,8 @@ Result<Gathered> PassJob::Run() {
     out.survivors = survivors->count;
     out.bounds = survivors->bounds;
   }
-  out.reject_seconds = SecondsSince(start);
-  auto stream = Blocks();
+  out.reject_seconds = watch.seconds();
+  auto stream = store_->Blocks(context_.memory());
   if (!stream) return Forward(stream);
   out.samples = std::make_unique<PassSource>(std::move(store_), std::move(*stream),
                                              std::move(survivors), std::move(share), options_);
@@ -262,11 +253,11 @@ Result<Gathered> GatherInMemory(std::unique_ptr<ReservoirStore> store, const Gat
   for (const Reservoir* r : all.reservoir) area.Add(r->area);
   out.cell_area = area.InWorldUnits(options.lattice);
   context.SetStage(RunContext::Stage::kReject);
-  const auto start = Clock::now();
+  const Stopwatch watch;
   const auto fate = RejectClosePoints({all.position, all.time, all.cell},
                                       options.min_distance * options.lattice.edge, context);
   if (!fate) return Forward(fate);
-  out.reject_seconds = SecondsSince(start);
+  out.reject_seconds = watch.seconds();
   SampleColumns samples = Keep(all, *fate, options);
   out.survivors = samples.size();
   for (const Vec3& p : samples.position) out.bounds.Add(p);

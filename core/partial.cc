@@ -86,9 +86,8 @@ LatticeSpec SpecOf(const SpecNumbers& numbers) {
   return Height{static_cast<std::uint32_t>(numbers.value)};
 }
 
-// What must be equal.
 template <class Archive, class Info>
-void Identity(Archive& archive, Info& info) {
+void Fields(Archive& archive, Info& info) {
   archive.Range(info.version);
   archive.Value(info.mesh);
   archive.Value(info.lattice);
@@ -97,9 +96,6 @@ void Identity(Archive& archive, Info& info) {
   archive.Value(info.integrator);
   archive.Value(info.barycentric);
   archive.Value(info.share_count);
-}
-template <class Archive, class Info>
-void Rest(Archive& archive, Info& info) {
   archive.Range(info.shares);
   archive.Value(info.surface);
   archive.Value(info.bounds);
@@ -113,8 +109,7 @@ void Rest(Archive& archive, Info& info) {
 std::string Pack(const PartialInfo& info) {
   Packer packer;
   packer.Value(NumbersOf(info.spec));
-  Identity(packer, info);
-  Rest(packer, info);
+  Fields(packer, info);
   return std::move(packer.bytes);
 }
 
@@ -122,8 +117,7 @@ bool Unpack(std::string_view bytes, PartialInfo& info) {
   Unpacker unpacker(bytes);
   SpecNumbers spec;
   unpacker.Value(spec);
-  Identity(unpacker, info);
-  Rest(unpacker, info);
+  Fields(unpacker, info);
   info.spec = SpecOf(spec);
   const auto& shares = info.shares;
   return unpacker.done() && !shares.empty() && shares.back() < info.share_count &&
@@ -228,18 +222,10 @@ Result<void> WritePartial(const AppendBytes& append, const PartialInfo& info, Re
   std::memcpy(header.magic, kMagic.data(), kMagic.size());
   if (auto put = append({reinterpret_cast<const char*>(&header), sizeof header}); !put) return put;
   if (auto put = append({compressed.data(), n}); !put) return put;
-  auto stream = store.Blocks(kStreamsAtOnce);
+  auto stream = store.Blocks(context.memory());
   if (!stream) return Forward(stream);
   RunWriter run(append, sizeof header + n, info.barycentric);
-  BlockReservoirs block;
-  for (;;) {
-    if (context.cancelled()) return Cancelled();
-    const auto more = (*stream)->Next(block);
-    if (!more) return Forward(more);
-    if (!*more) break;
-    if (auto added = run.Add(block); !added) return added;
-  }
-  if (auto extent = run.Finish(); !extent) return Forward(extent);
+  if (auto extent = run.WriteAll(**stream, &context); !extent) return Forward(extent);
   return {};
 }
 
@@ -309,6 +295,7 @@ Result<CombinedPartials> CombinePartials(std::vector<Partial> partials, RunConte
   if (used.empty()) return Fail(ErrorCode::kInvalidArgument, "no partial was given");
   StoreLimits limits;
   limits.scratch = context.scratch();
+  limits.context = &context;
   limits.barycentric = used.front().info.barycentric;
   combined.store = std::make_unique<ReservoirStore>(limits);
   for (Partial& partial : used) {

@@ -8,6 +8,15 @@
 #include "core/memory_account.h"
 
 namespace strata {
+namespace {
+
+// A quarter of the memory that is left goes to the runs that are merged at a time.
+std::size_t StreamsAtOnce(const MemoryAccount& memory) {
+  return static_cast<std::size_t>(
+      std::clamp<std::uint64_t>(memory.left() / 4 / kRunBufferBytes, 2, 256));
+}
+
+}  // namespace
 
 ReservoirStore::ReservoirStore(const StoreLimits& limits)
     : limits_(limits), grid_(std::make_unique<ReservoirGrid>()) {}
@@ -64,15 +73,7 @@ Result<void> ReservoirStore::WriteRun(BlockStream& blocks) {
   }
   RunWriter writer([this](std::string_view bytes) { return file_->Append(bytes); }, file_->size(),
                    limits_.barycentric);
-  BlockReservoirs block;
-  for (;;) {
-    const auto more = blocks.Next(block);
-    if (!more) return Forward(more);
-    if (!*more) break;
-    if (limits_.context != nullptr && limits_.context->cancelled()) return Cancelled();
-    if (auto added = writer.Add(block); !added) return added;
-  }
-  const auto extent = writer.Finish();
+  const auto extent = writer.WriteAll(blocks, limits_.context);
   if (!extent) return Forward(extent);
   runs_.push_back({file_.get(), *extent});
   return {};
@@ -106,7 +107,7 @@ Result<void> ReservoirStore::MergeRuns(std::size_t count) {
   return {};
 }
 
-Result<std::unique_ptr<BlockStream>> ReservoirStore::Blocks(std::size_t most_streams) {
+Result<std::unique_ptr<BlockStream>> ReservoirStore::Blocks(const MemoryAccount& memory) {
   if (runs_.empty()) return grid_->Blocks();
   // Several passes over the result are cheaper over one run.
   if (grid_->size() > 0) {
@@ -115,7 +116,7 @@ Result<std::unique_ptr<BlockStream>> ReservoirStore::Blocks(std::size_t most_str
     ReturnFreedMemory();
   }
   while (runs_.size() > 1) {
-    const std::size_t count = std::min(runs_.size(), std::max<std::size_t>(most_streams, 2));
+    const std::size_t count = std::min(runs_.size(), StreamsAtOnce(memory));
     if (auto merged = MergeRuns(count); !merged) return Forward(merged);
   }
   return Open(runs_.front());

@@ -20,9 +20,6 @@
 
 namespace strata {
 
-/// Sources merged at a time where nothing says how many memory allows.
-inline constexpr std::size_t kStreamsAtOnce = 64;
-
 /// What a store may hold in memory.
 struct StoreLimits {
   /// Without scratch space: occupied cells, give or take what workers' caches hold.
@@ -58,11 +55,11 @@ class ReservoirStore {
   std::uint64_t run_count() const { return runs_.size(); }
   std::uint64_t bytes_on_disk() const { return file_ ? file_->size() : 0; }
 
-  /// Every block once, in order, as far as memory goes: `most_streams` sources are merged at a time
-  /// (at least 2), so that many runs are first merged into fewer. The store must outlive the
-  /// stream, and nothing may be merged in any more. Errors: kIo (a damaged run of its
-  /// own included), kCorruptInput (a damaged run that it adopted), kCancelled.
-  Result<std::unique_ptr<BlockStream>> Blocks(std::size_t most_streams);
+  /// Every block once, in order. As many runs are merged at a time as what is left of `memory`
+  /// allows (at least 2), so that many are first merged into fewer. The store must outlive the
+  /// stream, and nothing may be merged in any more. Errors: kIo (a damaged run of its own
+  /// included), kCorruptInput (a damaged run that it adopted), kCancelled.
+  Result<std::unique_ptr<BlockStream>> Blocks(const MemoryAccount& memory);
 
  private:
   struct Run {

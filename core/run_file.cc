@@ -167,6 +167,17 @@ Result<RunExtent> RunWriter::Finish() {
   return extent_;
 }
 
+Result<RunExtent> RunWriter::WriteAll(BlockStream& blocks, const RunContext* context) {
+  BlockReservoirs block;
+  for (;;) {
+    if (context != nullptr && context->cancelled()) return Cancelled();
+    const auto more = blocks.Next(block);
+    if (!more) return Forward(more);
+    if (!*more) return Finish();
+    if (auto added = Add(block); !added) return Forward(added);
+  }
+}
+
 // --- Reading ---------------------------------------------------------------------------------
 
 RunReader::RunReader(const ScratchFile& file, const RunExtent& extent, ErrorCode damage)

@@ -11,6 +11,7 @@
 
 #include "core/block.h"
 #include "core/result.h"
+#include "core/run_context.h"
 #include "core/scratch.h"
 
 struct ZSTD_CCtx_s;
@@ -41,6 +42,9 @@ class RunWriter {
   /// Blocks must come in ascending order, none empty. Errors: kIo.
   Result<void> Add(const BlockReservoirs& block);
   Result<RunExtent> Finish();
+  /// Adds what is left of a stream, and finishes. `context`: whose cancel flag is looked at before
+  /// each block; may be null. Errors: the stream's, kIo, kCancelled.
+  Result<RunExtent> WriteAll(BlockStream& blocks, const RunContext* context);
 
  private:
   Result<void> WriteFrame();

@@ -7,7 +7,6 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <limits>
@@ -24,12 +23,12 @@
 #include "core/reservoir_grid.h"
 #include "core/scan.h"
 #include "core/scan_mesh.h"
+#include "core/stopwatch.h"
 #include "core/triangle_hash.h"
 
 namespace strata {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 constexpr std::size_t kMaxProbes = 8;
 
 std::string Number(double v) {
@@ -197,10 +196,6 @@ using MaybeChoice = std::optional<LatticeChoice>;
 
 Result<MaybeChoice> FromVertices(MeshReader& reader, const LatticeSpec& spec) {
   LatticeChoice choice;
-  if (const auto* voxel = std::get_if<VoxelSize>(&spec)) {
-    choice.lattice = LatticeFor(*voxel);
-    return MaybeChoice(choice);
-  }
   if (const auto* resolution = std::get_if<Resolution>(&spec)) {
     const auto found = BoundsOfVertices(reader);
     if (!found) return Forward(found);
@@ -266,61 +261,49 @@ class ScanJob {
 
   Result<ScannedMesh> Run(const Share& share, const std::optional<Lattice>& lattice) {
     share_ = share;
-    // The lattice is that of the whole surface, whatever share the reader gave before.
-    reader_.SelectShare({});
-    const bool whole = share.count == 1 && !lattice;
-    if (auto scanned = whole ? Scan() : ScanPart(lattice); !scanned) return Forward(scanned);
+    stats().passes = 0;
+    if (auto scanned = Scan(lattice); !scanned) return Forward(scanned);
     return std::move(result_);
   }
 
  private:
   SampleStats& stats() { return result_.stats; }
 
-  // A share alone cannot tell whether a lattice of all vertices is that of the surface.
-  Result<void> ScanPart(const std::optional<Lattice>& lattice) {
-    stats().passes = 0;
-    LatticeChoice choice;
-    if (lattice) {
-      choice.lattice = *lattice;
-    } else if (const auto* voxel = std::get_if<VoxelSize>(&options_.lattice)) {
-      choice.lattice = LatticeFor(*voxel);
-    } else {
-      auto exact = FromSurface(reader_, options_.lattice, stats().passes, context_);
-      if (!exact) return Forward(exact);
-      choice = *exact;
-    }
-    auto totals = ScanOn(choice);
-    if (!totals) return Forward(totals);
-    return Note(choice, *totals);
-  }
-
-  Result<void> Scan() {
-    const auto start = Clock::now();
-    stats().passes = 0;
-    auto from_vertices = FromVertices(reader_, options_.lattice);
-    if (!from_vertices) return Forward(from_vertices);
-    MaybeChoice choice = *from_vertices;
-    if (!choice) {
-      auto exact = FromSurface(reader_, options_.lattice, stats().passes, context_);
-      if (!exact) return Forward(exact);
-      choice = *exact;
-    }
-    stats().lattice_seconds = SecondsSince(start);
+  Result<void> Scan(const std::optional<Lattice>& lattice) {
+    const Stopwatch watch;
+    // The lattice is that of the whole surface, whatever share the reader gave before.
+    reader_.SelectShare({});
+    auto choice = Choose(lattice);
+    if (!choice) return Forward(choice);
+    stats().lattice_seconds = watch.seconds();
     auto totals = ScanOn(*choice);
     if (!totals) return Forward(totals);
-    if (totals->batch.usable == 0) {
+    if (totals->batch.usable == 0 && share_.count == 1) {
       return Fail(ErrorCode::kEmptySurface, "no triangle of positive area among " +
                                                 std::to_string(reader_.counts().triangles) +
                                                 " triangles");
     }
     if (!choice->Holds(totals->batch)) {
-      auto exact = FromSurface(reader_, options_.lattice, stats().passes, context_);
-      if (!exact) return Forward(exact);
-      choice = *exact;
+      choice = FromSurface(reader_, options_.lattice, stats().passes, context_);
+      if (!choice) return Forward(choice);
       totals = ScanOn(*choice);
       if (!totals) return Forward(totals);
     }
     return Note(*choice, *totals);
+  }
+
+  Result<LatticeChoice> Choose(const std::optional<Lattice>& given) {
+    if (given) return LatticeChoice{*given, {}, {}};
+    if (const auto* voxel = std::get_if<VoxelSize>(&options_.lattice)) {
+      return LatticeChoice{LatticeFor(*voxel), {}, {}};
+    }
+    // A share alone could not tell whether the lattice of all vertices is that of the surface.
+    if (share_.count == 1) {
+      auto from_vertices = FromVertices(reader_, options_.lattice);
+      if (!from_vertices) return Forward(from_vertices);
+      if (*from_vertices) return **from_vertices;
+    }
+    return FromSurface(reader_, options_.lattice, stats().passes, context_);
   }
 
   Result<ScanTotals> ScanOn(const LatticeChoice& choice) {
@@ -329,7 +312,7 @@ class ScanJob {
       return Fail(ErrorCode::kOverBudget, "the cells' edge would be " + Number(edge) +
                                               "; expected 1e-60 to 1e60; use other units");
     }
-    const auto start = Clock::now();
+    const Stopwatch watch;
     context_.SetStage(RunContext::Stage::kScan);
     const auto plan = PlanScan(options_, context_);
     if (!plan) return Forward(plan);
@@ -345,7 +328,7 @@ class ScanJob {
     scan.most_batches = plan->most_batches;
     scan.share = share_;
     auto totals = ScanTriangles(reader_, scan, *result_.store, context_);
-    stats().scan_seconds += SecondsSince(start);
+    stats().scan_seconds += watch.seconds();
     return totals;
   }
 
@@ -373,10 +356,6 @@ class ScanJob {
                   "no triangle is wider than the rounding of its corners' coordinates");
     }
     return {};
-  }
-
-  static double SecondsSince(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
   }
 
   MeshReader& reader_;

@@ -1,16 +1,16 @@
 #include "core/scratch.h"
 
 #include <fcntl.h>
-#include <signal.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
 #include <cstdlib>
-#include <ctime>
 #include <system_error>
 #include <utility>
+
+#include "core/signal_shield.h"
 
 namespace strata {
 namespace {
@@ -19,40 +19,16 @@ tl::unexpected<Error> SystemError(const std::string& what) {
   return Fail(ErrorCode::kIo, what + ": " + std::generic_category().message(errno));
 }
 
-// While it lives, a write past the file size limit is an errno, not the process's death: the signal
-// is blocked in this thread, and what our write raised is consumed.
-class SizeLimitShield {
- public:
-  SizeLimitShield() {
-    sigemptyset(&set_);
-    sigaddset(&set_, SIGXFSZ);
-    sigset_t pending;
-    sigpending(&pending);
-    had_pending_ = sigismember(&pending, SIGXFSZ) == 1;
-    pthread_sigmask(SIG_BLOCK, &set_, &old_);
-  }
-  ~SizeLimitShield() {
-    const timespec no_wait{};
-    while (!had_pending_ && sigtimedwait(&set_, nullptr, &no_wait) > 0) {
-    }
-    pthread_sigmask(SIG_SETMASK, &old_, nullptr);
-  }
-  SizeLimitShield(const SizeLimitShield&) = delete;
-  SizeLimitShield& operator=(const SizeLimitShield&) = delete;
-
- private:
-  sigset_t set_, old_;
-  bool had_pending_;
-};
-
 }  // namespace
 
-ScratchFile::~ScratchFile() { close(fd_); }
+ScratchFile::~ScratchFile() {
+  if (fd_ >= 0) close(fd_);
+}
 
 Result<void> ScratchFile::Append(std::string_view bytes) { return WriteAt(size_, bytes); }
 
 Result<void> ScratchFile::WriteAt(std::uint64_t offset, std::string_view bytes) {
-  const SizeLimitShield shield;
+  const SignalShield shield({SIGXFSZ});
   while (!bytes.empty()) {
     const ssize_t n = pwrite(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
     if (n < 0 && errno == EINTR) continue;
@@ -110,6 +86,11 @@ Result<std::unique_ptr<ScratchFolder>> ScratchFolder::Open(const std::string& di
     return SystemError("scratch directory " + directory);
   }
   return std::unique_ptr<ScratchFolder>(new ScratchFolder(directory));
+}
+
+Result<std::unique_ptr<ScratchFolder>> ScratchFolder::OpenSystems() {
+  const char* variable = std::getenv("TMPDIR");
+  return Open(variable != nullptr && *variable != '\0' ? variable : "/tmp");
 }
 
 Result<std::unique_ptr<ScratchFile>> ScratchFolder::NewFile() {

@@ -6,6 +6,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 
 #include "core/result.h"
 
@@ -32,6 +33,8 @@ class ScratchFile {
   void Discard(std::uint64_t offset, std::uint64_t length);
   std::uint64_t size() const { return size_; }
   const std::string& name() const { return name_; }
+  /// The descriptor, which the caller closes. The file is not used any more.
+  int Release() { return std::exchange(fd_, -1); }
 
  private:
   int fd_;
@@ -47,6 +50,8 @@ class ScratchFolder {
  public:
   /// Errors: kNotFound when there is no such directory; kIo when nothing can be made in it.
   static Result<std::unique_ptr<ScratchFolder>> Open(const std::string& directory);
+  /// The system's directory for temporary files: TMPDIR, or /tmp.
+  static Result<std::unique_ptr<ScratchFolder>> OpenSystems();
 
   /// A new, empty file without a name on disk: gone with the process, however that ends.
   Result<std::unique_ptr<ScratchFile>> NewFile();

@@ -6,7 +6,6 @@
 
 #include <algorithm>
 #include <cerrno>
-#include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <system_error>
@@ -127,60 +126,37 @@ class StringSource : public ByteSource {
   std::size_t position_ = 0;
 };
 
-// An open file without a name, so that nothing is left behind however the process ends.
-Result<Fd> OpenScratch() {
-  const char* variable = std::getenv("TMPDIR");
-  const std::string folder = variable != nullptr && *variable != '\0' ? variable : "/tmp";
-#ifdef O_TMPFILE
-  Fd unnamed(::open(folder.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600));
-  if (unnamed.get() >= 0) return unnamed;
-#endif
-  std::string path = folder + "/strata-input-XXXXXX";
-  Fd named(::mkostemp(path.data(), O_CLOEXEC));
-  if (named.get() < 0) {
-    return Fail(ErrorCode::kIo, "scratch space in " + folder + ": " + SystemMessage(errno));
-  }
-  ::unlink(path.c_str());
-  return named;
-}
-
-Result<void> WriteAll(int fd, std::span<const char> bytes) {
-  while (!bytes.empty()) {
-    const ssize_t n = ::write(fd, bytes.data(), bytes.size());
-    if (n < 0 && errno == EINTR) continue;
-    if (n <= 0) {
-      return Fail(ErrorCode::kIo,
-                  "writing scratch space (TMPDIR says where): " + SystemMessage(errno));
-    }
-    bytes = bytes.subspan(static_cast<std::size_t>(n));
-  }
-  return {};
-}
-
 // Copies everything that can be read from `fd` to scratch space.
-Result<std::unique_ptr<ByteSource>> Spool(const Fd& fd, const std::string& name) {
-  auto scratch = OpenScratch();
-  if (!scratch) return Forward(scratch);
+Result<std::unique_ptr<ByteSource>> Copy(const Fd& fd, const std::string& name,
+                                         ScratchFolder* scratch) {
+  std::unique_ptr<ScratchFolder> systems;
+  if (scratch == nullptr) {
+    auto opened = ScratchFolder::OpenSystems();
+    if (!opened) return Forward(opened);
+    systems = std::move(*opened);
+    scratch = systems.get();
+  }
+  auto copy = scratch->NewFile();
+  if (!copy) return Forward(copy);
   std::vector<char> buffer(std::size_t{1} << 18);
-  std::uint64_t size = 0;
   for (;;) {
     const ssize_t n = ::read(fd.get(), buffer.data(), buffer.size());
     if (n < 0 && errno == EINTR) continue;
     if (n < 0) {
-      return Fail(ErrorCode::kIo, name + ": byte " + std::to_string(size) +
+      return Fail(ErrorCode::kIo, name + ": byte " + std::to_string((*copy)->size()) +
                                       ": reading failed: " + SystemMessage(errno));
     }
     if (n == 0) break;
-    const auto got = std::span<const char>(buffer).first(static_cast<std::size_t>(n));
-    if (auto ok = WriteAll(scratch->get(), got); !ok) return Forward(ok);
-    size += got.size();
+    auto written = (*copy)->Append({buffer.data(), static_cast<std::size_t>(n)});
+    if (!written) return Forward(written);
   }
-  return std::make_unique<FileSource>(std::move(*scratch), 0, size, name);
+  const std::uint64_t size = (*copy)->size();
+  return std::make_unique<FileSource>(Fd((*copy)->Release()), 0, size, name);
 }
 
 // From an open descriptor: a regular file as it is, a pipe or device through scratch space.
 Result<std::unique_ptr<ByteSource>> FromDescriptor(Fd fd, const std::string& name,
-                                                   std::uint64_t start) {
+                                                   std::uint64_t start, ScratchFolder* scratch) {
   struct stat status {};
   if (::fstat(fd.get(), &status) != 0) {
     return Fail(ErrorCode::kIo, name + ": " + SystemMessage(errno));
@@ -188,23 +164,23 @@ Result<std::unique_ptr<ByteSource>> FromDescriptor(Fd fd, const std::string& nam
   if (S_ISDIR(status.st_mode)) {
     return Fail(ErrorCode::kNotFound, name + ": found a directory, expected a file");
   }
-  if (!S_ISREG(status.st_mode)) return Spool(fd, name);
+  if (!S_ISREG(status.st_mode)) return Copy(fd, name, scratch);
   const auto end = static_cast<std::uint64_t>(std::max<off_t>(status.st_size, 0));
   ::posix_fadvise(fd.get(), 0, 0, POSIX_FADV_SEQUENTIAL);
   start = std::min(start, end);
   return std::make_unique<FileSource>(std::move(fd), start, end - start, name);
 }
 
-Result<std::unique_ptr<ByteSource>> OpenStandardInput() {
+Result<std::unique_ptr<ByteSource>> OpenStandardInput(ScratchFolder* scratch) {
   const std::string name = "standard input";
   Fd fd(::fcntl(STDIN_FILENO, F_DUPFD_CLOEXEC, 0));
   if (fd.get() < 0) return Fail(ErrorCode::kIo, name + ": " + SystemMessage(errno));
   // Redirected from a file, it may have been read in part by whoever ran before.
   const off_t at = ::lseek(fd.get(), 0, SEEK_CUR);
-  return FromDescriptor(std::move(fd), name, at > 0 ? static_cast<std::uint64_t>(at) : 0);
+  return FromDescriptor(std::move(fd), name, at > 0 ? static_cast<std::uint64_t>(at) : 0, scratch);
 }
 
-Result<std::unique_ptr<ByteSource>> OpenPath(const std::string& path) {
+Result<std::unique_ptr<ByteSource>> OpenPath(const std::string& path, ScratchFolder* scratch) {
   int raw;
   do {
     raw = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
@@ -214,7 +190,7 @@ Result<std::unique_ptr<ByteSource>> OpenPath(const std::string& path) {
     const bool ours = errno == EMFILE || errno == ENFILE || errno == ENOMEM || errno == EIO;
     return Fail(ours ? ErrorCode::kIo : ErrorCode::kNotFound, path + ": " + SystemMessage(errno));
   }
-  return FromDescriptor(std::move(fd), path, 0);
+  return FromDescriptor(std::move(fd), path, 0, scratch);
 }
 
 }  // namespace
@@ -224,8 +200,9 @@ Result<void> ByteSource::ReadAt(std::uint64_t offset, std::span<char> out) {
                                   std::to_string(out.size()) + " bytes here");
 }
 
-Result<std::unique_ptr<ByteSource>> OpenByteSource(const std::string& path) {
-  auto stored = path == "-" ? OpenStandardInput() : OpenPath(path);
+Result<std::unique_ptr<ByteSource>> OpenByteSource(const std::string& path,
+                                                   ScratchFolder* scratch) {
+  auto stored = path == "-" ? OpenStandardInput(scratch) : OpenPath(path, scratch);
   if (!stored) return stored;
   return Unpack(std::move(*stored));
 }

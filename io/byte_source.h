@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "core/result.h"
+#include "core/scratch.h"
 
 namespace strata::io {
 
@@ -38,9 +39,11 @@ class ByteSource {
   virtual const std::string& name() const = 0;
 };
 
-/// Opens a regular file, or "-": standard input, copied first to an unnamed scratch file so that it
-/// can be rewound. Tells gzip and zstd by their magic bytes. Errors: kNotFound, kIo.
-Result<std::unique_ptr<ByteSource>> OpenByteSource(const std::string& path);
+/// Opens a regular file, or "-": standard input. What cannot be rewound is copied first, to
+/// `scratch` or, without it, to the system's directory for temporary files. Tells gzip and zstd by
+/// their magic bytes. Errors: kNotFound, kIo.
+Result<std::unique_ptr<ByteSource>> OpenByteSource(const std::string& path,
+                                                   ScratchFolder* scratch = nullptr);
 
 /// The bytes of a string as a source; for tests and fuzzing. Unpacks gzip and zstd like a file.
 std::unique_ptr<ByteSource> MemorySource(std::string bytes, std::string name = "memory");

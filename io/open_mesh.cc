@@ -51,7 +51,7 @@ Result<std::unique_ptr<MeshReader>> OpenMesh(std::unique_ptr<ByteSource> source,
 
 Result<std::unique_ptr<MeshReader>> OpenMesh(const std::string& path, const OpenOptions& options) {
   try {
-    auto source = OpenByteSource(path);
+    auto source = OpenByteSource(path, options.scratch);
     if (!source) return Forward(source);
     return OpenMesh(std::move(*source), options);
   } catch (const std::bad_alloc&) {

@@ -30,7 +30,7 @@ struct OpenOptions {
   const RunContext* context = nullptr;
 };
 
-/// Opens `path` ("-" is standard input, which is copied to unnamed scratch space), tells the format
+/// Opens `path` ("-" is standard input, which is copied to scratch space), tells the format
 /// from its content (the suffix only breaks ties), unpacks gzip and zstd on the fly, reads the
 /// vertices of indexed formats, and stops before the first triangle.
 ///

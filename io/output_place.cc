@@ -21,6 +21,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/signal_shield.h"
 #include "io/atomic_file.h"
 
 namespace strata::io {
@@ -49,35 +50,6 @@ Registry& TheRegistry() {
   static Registry& registry = *new Registry;
   return registry;
 }
-
-// While it lives, a write to a closed pipe or past the file size limit is an errno, not the
-// process's death: the signals are blocked in this thread, and what our write raised is consumed.
-class SignalShield {
- public:
-  SignalShield() {
-    sigemptyset(&set_);
-    sigaddset(&set_, SIGPIPE);
-    sigaddset(&set_, SIGXFSZ);
-    sigset_t pending;
-    sigpending(&pending);
-    had_pending_ = sigismember(&pending, SIGPIPE) == 1 || sigismember(&pending, SIGXFSZ) == 1;
-    pthread_sigmask(SIG_BLOCK, &set_, &old_);
-  }
-  ~SignalShield() {
-    const timespec no_wait{};
-    if (!had_pending_) {
-      while (sigtimedwait(&set_, nullptr, &no_wait) > 0) {
-      }
-    }
-    pthread_sigmask(SIG_SETMASK, &old_, nullptr);
-  }
-  SignalShield(const SignalShield&) = delete;
-  SignalShield& operator=(const SignalShield&) = delete;
-
- private:
-  sigset_t set_, old_;
-  bool had_pending_;
-};
 
 std::optional<TemporaryKind> KindOf(std::string_view name) {
   for (const TemporaryKind kind : {TemporaryKind::kFile, TemporaryKind::kFolder}) {
@@ -257,7 +229,7 @@ bool IsWrittenThrough(const std::string& path) {
 }
 
 int WriteAll(int fd, std::string_view bytes, std::uint64_t& written) {
-  const SignalShield shield;
+  const SignalShield shield({SIGPIPE, SIGXFSZ});
   while (!bytes.empty()) {
     const ssize_t n = ::write(fd, bytes.data(), bytes.size());
     if (n > 0) {

@@ -8,12 +8,12 @@
 #include <cstdlib>
 #include <string_view>
 
+#include "core/stopwatch.h"
 #include "server/human_units.h"
 
 namespace strata::server {
 namespace {
 
-using Clock = std::chrono::steady_clock;
 constexpr std::chrono::milliseconds kRedraw{100};
 constexpr int kBarWidth = 20;
 
@@ -32,10 +32,6 @@ bool CanDraw(int fd) {
 void Draw(int fd, std::string_view text) {
   const std::string line = "\r" + std::string(text) + "\x1b[K";
   [[maybe_unused]] const ssize_t written = write(fd, line.data(), line.size());
-}
-
-double SecondsSince(Clock::time_point start) {
-  return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
 std::string Bar(double share) {
@@ -83,20 +79,19 @@ void ProgressBar::Stop() {
 
 void ProgressBar::Run() {
   ProgressState state;
-  Clock::time_point start = Clock::now();
+  Stopwatch watch;
   std::uint64_t first_byte = 0, first_triangle = 0;
   std::unique_lock lock(mutex_);
   while (!wake_.wait_for(lock, kRedraw, [this] { return stopped_; })) {
     const std::uint64_t done = context_.done(), triangles = context_.triangles();
     // A second pass over the input counts its bytes from the start again: its rates are its own.
     if (context_.stage() != state.stage || done < state.done) {
-      start = Clock::now();
+      watch = {};
       first_byte = done;
       first_triangle = triangles;
     }
-    state = {context_.stage(),           done,
-             context_.total(),           done - first_byte,
-             triangles - first_triangle, SecondsSince(start)};
+    state = {context_.stage(),           done,           context_.total(), done - first_byte,
+             triangles - first_triangle, watch.seconds()};
     Draw(fd_, ProgressLine(state));
   }
 }

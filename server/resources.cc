@@ -1,14 +1,9 @@
 #include "server/resources.h"
 
-#include <filesystem>
-#include <system_error>
-
 namespace strata::server {
 
 Result<std::unique_ptr<ScratchFolder>> OpenScratch(const std::optional<std::string>& directory) {
-  std::error_code failed;
-  const auto system = std::filesystem::temp_directory_path(failed);
-  auto folder = ScratchFolder::Open(directory.value_or(system.string()));
+  auto folder = directory ? ScratchFolder::Open(*directory) : ScratchFolder::OpenSystems();
   if (!folder && !directory) return std::unique_ptr<ScratchFolder>();
   return folder;
 }

@@ -4,7 +4,6 @@
 #include <sys/stat.h>
 
 #include <array>
-#include <chrono>
 #include <cstdio>
 #include <filesystem>
 #include <memory>
@@ -20,6 +19,7 @@
 #include "core/partial.h"
 #include "core/sample_mesh.h"
 #include "core/simd_target.h"
+#include "core/stopwatch.h"
 #include "io/atomic_file.h"
 #include "io/file_digest.h"
 #include "io/open_mesh.h"
@@ -33,19 +33,7 @@
 namespace strata::server {
 namespace {
 
-/// Wall seconds since it was made.
-class Stopwatch {
- public:
-  double seconds() const {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
-  }
-
- private:
-  std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
-};
-
-// --- Before the work: can the places be what they are named to be?
-// --------------------------------
+// --- Before the work: can the places be what they are named to be? -------------------------------
 
 struct Place {
   const char* role;

@@ -224,7 +224,7 @@ TEST_F(SpillFaults, CancellingEndsTheMergeOfRuns) {
   ASSERT_TRUE(ScanTriangles(mesh, scan, store, context_));
   ASSERT_GT(store.run_count(), 1u);
   context_.Cancel();
-  const auto blocks = store.Blocks(2);
+  const auto blocks = store.Blocks(context_.memory());
   ASSERT_FALSE(blocks);
   EXPECT_EQ(blocks.error().code, ErrorCode::kCancelled);
 }
