@@ -1,6 +1,7 @@
 // The door through which triangles enter: io/ implements it per file format, core/ only pulls.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -101,20 +102,39 @@ struct ReadCounts {
   std::uint64_t faces = 0;      ///< Polygons, strips' triangles or facets in the file.
   std::uint64_t triangles = 0;  ///< Triangles after triangulation, skipped ones included.
   SkipCounts skipped{};         ///< Only kIndexOutOfRange and kTooFewCorners are counted here.
+
+  void Add(const ReadCounts& other) { Combine(other, std::plus<>()); }
+  /// What was read before some of it. Precondition: nothing of `some` is more.
+  void Subtract(const ReadCounts& some) { Combine(some, std::minus<>()); }
+
+ private:
+  template <class Operation>
+  void Combine(const ReadCounts& other, Operation operation) {
+    vertices = operation(vertices, other.vertices);
+    faces = operation(faces, other.faces);
+    triangles = operation(triangles, other.triangles);
+    for (std::size_t r = 0; r < skipped.size(); ++r) {
+      skipped[r] = operation(skipped[r], other.skipped[r]);
+    }
+  }
 };
 
 /// One of `count` shares of a mesh's triangles: blocks of kBlock by their number in file order,
-/// dealt out in turn. Precondition: index < count.
+/// dealt out in turn; of these the triangles from number `first` on. Precondition: index < count.
 struct Share {
   static constexpr int kBlockBits = 16;
   static constexpr std::uint64_t kBlock = std::uint64_t{1} << kBlockBits;
 
   std::uint32_t index = 0, count = 1;
+  std::uint64_t first = 0;
+  bool whole() const { return count == 1 && first == 0; }
   bool Holds(std::uint64_t triangle) const {
-    return count == 1 || (triangle >> kBlockBits) % count == index;
+    return triangle >= first && (count == 1 || (triangle >> kBlockBits) % count == index);
   }
   /// The share's first triangle from number `triangle` on; UINT64_MAX where there is none.
   std::uint64_t Next(std::uint64_t triangle) const {
+    triangle = std::max(triangle, first);
+    if (count == 1) return triangle;
     const std::uint64_t block = triangle >> kBlockBits;
     const std::uint64_t wait = (index + std::uint64_t{count} - block % count) % count;
     if (wait == 0) return triangle;
@@ -159,11 +179,11 @@ class MeshReader {
   ///
   /// False if the file does not tell without being read where the triangles of a share lie: Read
   /// gives all of them, counts() counts all, and the caller must filter. The answer depends on
-  /// the file and on whether share.count is 1, so that all shares of a mesh agree on it. What a
-  /// share alone cannot see wrong is seen by another: only when all shares have been read without
+  /// the file and on whether the share is the whole, so that all shares of a mesh agree on it. What
+  /// a share alone cannot see wrong is seen by another: only when all shares have been read without
   /// an error are they the mesh. Precondition: nothing was read since opening or the last Rewind,
   /// or Rewind comes next.
-  virtual bool SelectShare(const Share& share) { return share.count == 1; }
+  virtual bool SelectShare(const Share& share) { return share.whole(); }
   /// Clears `batch`, fills it with the next triangles, and returns how many; 0 means the end.
   /// Corners may be non-finite or coincide: judging that is the caller's.
   /// Errors: kCorruptInput (file, byte offset or line, found, expected), kIo. After an error the

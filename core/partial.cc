@@ -1,12 +1,10 @@
 #include "core/partial.h"
 
-#include <zstd.h>
-
 #include <algorithm>
 #include <cstring>
-#include <type_traits>
 #include <utility>
 
+#include "core/packing.h"
 #include "core/version.h"
 
 namespace strata {
@@ -20,54 +18,6 @@ constexpr std::uint32_t kMostInfoBytes = 64 << 20;
 struct FileHeader {
   char magic[8];
   std::uint32_t format, compressed_bytes, info_bytes, reserved;
-};
-
-// --- The info as bytes: one function for both ways -----------------------------------------------
-
-class Packer {
- public:
-  template <class T>
-  void Value(const T& value) {
-    static_assert(std::is_trivially_copyable_v<T>);
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
-  }
-  template <class List>
-  void Range(const List& list) {
-    Value(static_cast<std::uint64_t>(list.size()));
-    for (const auto& element : list) Value(element);
-  }
-  std::string bytes;
-};
-
-class Unpacker {
- public:
-  explicit Unpacker(std::string_view bytes) : rest_(bytes) {}
-  template <class T>
-  void Value(T& value) {
-    static_assert(std::is_trivially_copyable_v<T>);
-    if (rest_.size() < sizeof value) {
-      good_ = false;
-      return;
-    }
-    std::memcpy(&value, rest_.data(), sizeof value);
-    rest_.remove_prefix(sizeof value);
-  }
-  template <class List>
-  void Range(List& list) {
-    std::uint64_t size = 0;
-    Value(size);
-    if (size > rest_.size()) good_ = false;
-    for (std::uint64_t i = 0; good_ && i < size; ++i) {
-      typename List::value_type element{};
-      Value(element);
-      list.push_back(element);
-    }
-  }
-  bool done() const { return good_ && rest_.empty(); }
-
- private:
-  std::string_view rest_;
-  bool good_ = true;
 };
 
 // A lattice's specification as two numbers.
@@ -155,13 +105,8 @@ void Add(PartialInfo& to, const PartialInfo& from) {
     to.bounds.Add(from.bounds.max);
   }
   to.mesh_area += from.mesh_area;
-  to.read.vertices += from.read.vertices;
-  to.read.faces += from.read.faces;
-  to.read.triangles += from.read.triangles;
-  for (std::size_t r = 0; r < to.skipped.size(); ++r) {
-    to.skipped[r] += from.skipped[r];
-    to.read.skipped[r] += from.read.skipped[r];
-  }
+  to.read.Add(from.read);
+  for (std::size_t r = 0; r < to.skipped.size(); ++r) to.skipped[r] += from.skipped[r];
   to.sampled += from.sampled;
   to.pieces += from.pieces;
 }
@@ -209,22 +154,22 @@ PartialInfo PartialOf(const ScannedMesh& scanned, const SampleOptions& options, 
 Result<void> WritePartial(const AppendBytes& append, const PartialInfo& info, ReservoirStore& store,
                           RunContext& context) {
   const std::string packed = Pack(info);
-  std::string compressed(ZSTD_compressBound(packed.size()), 0);
-  const std::unique_ptr<ZSTD_CCtx, decltype(&ZSTD_freeCCtx)> zstd(ZSTD_createCCtx(), ZSTD_freeCCtx);
-  ZSTD_CCtx_setParameter(zstd.get(), ZSTD_c_checksumFlag, 1);
-  const std::size_t n = ZSTD_compress2(zstd.get(), compressed.data(), compressed.size(),
-                                       packed.data(), packed.size());
-  if (ZSTD_isError(n) || packed.size() > kMostInfoBytes) {
+  const auto sealed = Seal(packed);
+  if (!sealed) return Forward(sealed);
+  if (packed.size() > kMostInfoBytes) {
     return Fail(ErrorCode::kInternal, "a partial's info does not pack");
   }
-  FileHeader header{
-      {}, kFormat, static_cast<std::uint32_t>(n), static_cast<std::uint32_t>(packed.size()), 0};
+  FileHeader header{{},
+                    kFormat,
+                    static_cast<std::uint32_t>(sealed->size()),
+                    static_cast<std::uint32_t>(packed.size()),
+                    0};
   std::memcpy(header.magic, kMagic.data(), kMagic.size());
   if (auto put = append({reinterpret_cast<const char*>(&header), sizeof header}); !put) return put;
-  if (auto put = append({compressed.data(), n}); !put) return put;
+  if (auto put = append(*sealed); !put) return put;
   auto stream = store.Blocks(context.memory());
   if (!stream) return Forward(stream);
-  RunWriter run(append, sizeof header + n, info.barycentric);
+  RunWriter run(append, sizeof header + sealed->size(), info.barycentric);
   if (auto extent = run.WriteAll(**stream, &context); !extent) return Forward(extent);
   return {};
 }
@@ -246,13 +191,11 @@ Result<Partial> OpenPartial(std::unique_ptr<ScratchFile> file) {
       header.compressed_bytes > file->size() - sizeof header) {
     return Damaged(*file, "its info does not fit the file");
   }
-  std::string compressed(header.compressed_bytes, 0), packed(header.info_bytes, 0);
-  read = file->ReadAt(sizeof header, compressed);
+  std::string sealed(header.compressed_bytes, 0);
+  read = file->ReadAt(sizeof header, sealed);
   if (!read) return Forward(read);
-  const std::size_t n =
-      ZSTD_decompress(packed.data(), packed.size(), compressed.data(), compressed.size());
   Partial partial;
-  if (ZSTD_isError(n) || n != packed.size() || !Unpack(packed, partial.info)) {
+  if (!Unpack(Unseal(sealed, header.info_bytes), partial.info)) {
     return Damaged(*file, "its info does not unpack");
   }
   partial.run.offset = sizeof header + header.compressed_bytes;

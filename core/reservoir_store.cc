@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "core/block_merge.h"
+#include "core/checkpoint.h"
 #include "core/memory_account.h"
 
 namespace strata {
@@ -21,6 +22,8 @@ std::size_t StreamsAtOnce(const MemoryAccount& memory) {
 ReservoirStore::ReservoirStore(const StoreLimits& limits)
     : limits_(limits), grid_(std::make_unique<ReservoirGrid>()) {}
 
+ReservoirStore::~ReservoirStore() { Settle(); }
+
 void ReservoirStore::Merge(const CellCache& cache) {
   bool spill = false;
   {
@@ -36,7 +39,8 @@ bool ReservoirStore::full() const {
   return limits_.scratch == nullptr && grid_->size() > limits_.max_cells;
 }
 
-Result<void> ReservoirStore::status() const {
+Result<void> ReservoirStore::status() {
+  Settle();
   if (failure_) return tl::unexpected<Error>(*failure_);
   if (!full()) return {};
   return Fail(ErrorCode::kOverBudget,
@@ -54,29 +58,90 @@ void ReservoirStore::Spill() {
     if (grid_->bytes() <= limits_.max_bytes / 2 || failure_) return;
     frozen = std::exchange(grid_, std::make_unique<ReservoirGrid>());
   }
-  if (auto written = WriteRun(*frozen->Blocks()); !written) {
-    failure_ = written.error();
-    failed_.store(true, std::memory_order_relaxed);
-  }
+  const auto run = WriteRun(*frozen->Blocks());
+  if (run) runs_.push_back(*run);
+  Note(run ? Result<void>() : Result<void>(Forward(run)));
   frozen.reset();
   ReturnFreedMemory();  // Before the next grid comes this far.
 }
 
-Result<void> ReservoirStore::WriteRun(BlockStream& blocks) {
-  if (!file_) {
-    if (limits_.scratch == nullptr) {
-      return Fail(ErrorCode::kInvalidArgument, "merging runs needs scratch space");
-    }
-    auto file = limits_.scratch->NewFile();
-    if (!file) return Forward(file);
-    file_ = std::move(*file);
+void ReservoirStore::Note(const Result<void>& written) {
+  if (written || failure_) return;
+  failure_ = written.error();
+  failed_.store(true, std::memory_order_relaxed);
+}
+
+// --- Checkpoints ---------------------------------------------------------------------------------
+
+bool ReservoirStore::wants_checkpoint() {
+  const std::shared_lock<std::shared_mutex> lock(grid_mutex_);
+  return grid_->size() > 0 && grid_->bytes() > limits_.max_bytes / 8 * 3;
+}
+
+void ReservoirStore::Settle() {
+  if (writer_.joinable()) writer_.join();
+}
+
+void ReservoirStore::Checkpoint(SaveRuns save) {
+  Settle();
+  if (failure_) return;
+  save_ = std::move(save);
+  // What workers add from here on may be written first, but is not of this checkpoint.
+  writer_ =
+      std::thread([this, held = runs_,
+                   frozen = std::exchange(grid_, std::make_unique<ReservoirGrid>())]() mutable {
+        const std::lock_guard<std::mutex> one_at_a_time(spill_mutex_);
+        Note(WriteCheckpoint(*frozen, std::move(held)));
+        frozen.reset();
+        ReturnFreedMemory();
+      });
+}
+
+Result<void> ReservoirStore::WriteCheckpoint(const ReservoirGrid& frozen, std::vector<Run> held) {
+  if (frozen.size() > 0) {
+    const auto run = WriteRun(*frozen.Blocks());
+    if (!run) return Forward(run);
+    runs_.push_back(*run);
+    held.push_back(*run);
   }
+  return SaveCheckpoint(held);
+}
+
+Result<void> ReservoirStore::SaveCheckpoint(std::span<const Run> runs) const {
+  std::vector<RunExtent> extents;
+  for (const Run& run : runs) extents.push_back(run.extent);
+  return save_(extents);
+}
+
+Result<void> ReservoirStore::Restore(const std::vector<RunExtent>& runs) {
+  std::uint64_t end = 0;
+  for (const RunExtent& extent : runs) end = std::max(end, extent.offset + extent.bytes);
+  if (auto opened = OpenFile(end); !opened) return opened;
+  for (const RunExtent& extent : runs) runs_.push_back({file_.get(), extent});
+  return {};
+}
+
+// --- Runs ----------------------------------------------------------------------------------------
+
+Result<void> ReservoirStore::OpenFile(std::uint64_t keep) {
+  if (file_) return {};
+  if (limits_.scratch == nullptr) {
+    return Fail(ErrorCode::kInvalidArgument, "merging runs needs scratch space");
+  }
+  auto file =
+      limits_.checkpoints ? limits_.checkpoints->OpenRuns(keep) : limits_.scratch->NewFile();
+  if (!file) return Forward(file);
+  file_ = std::move(*file);
+  return {};
+}
+
+Result<ReservoirStore::Run> ReservoirStore::WriteRun(BlockStream& blocks) {
+  if (auto opened = OpenFile(0); !opened) return Forward(opened);
   RunWriter writer([this](std::string_view bytes) { return file_->Append(bytes); }, file_->size(),
                    limits_.barycentric);
   const auto extent = writer.WriteAll(blocks, limits_.context);
   if (!extent) return Forward(extent);
-  runs_.push_back({file_.get(), *extent});
-  return {};
+  return Run{file_.get(), *extent};
 }
 
 void ReservoirStore::Adopt(std::unique_ptr<ScratchFile> file, const RunExtent& extent) {
@@ -98,20 +163,29 @@ Result<void> ReservoirStore::MergeRuns(std::size_t count) {
     streams.push_back(Open(runs_[i]));
   }
   BlockMerge merged(std::move(streams));
-  if (auto written = WriteRun(merged); !written) return written;
+  const auto run = WriteRun(merged);
+  if (!run) return Forward(run);
+  std::vector<Run> kept(runs_.begin() + static_cast<std::ptrdiff_t>(count), runs_.end());
+  kept.push_back(*run);
+  if (save_) {
+    if (auto saved = SaveCheckpoint(kept); !saved) return saved;
+  }
   for (std::size_t i = 0; i < count; ++i) {
     if (runs_[i].file != file_.get()) continue;
     file_->Discard(runs_[i].extent.offset, runs_[i].extent.bytes);
   }
-  runs_.erase(runs_.begin(), runs_.begin() + static_cast<std::ptrdiff_t>(count));
+  runs_ = std::move(kept);
   return {};
 }
 
 Result<std::unique_ptr<BlockStream>> ReservoirStore::Blocks(const MemoryAccount& memory) {
+  Settle();
   if (runs_.empty()) return grid_->Blocks();
   // Several passes over the result are cheaper over one run.
   if (grid_->size() > 0) {
-    if (auto written = WriteRun(*grid_->Blocks()); !written) return Forward(written);
+    const auto run = WriteRun(*grid_->Blocks());
+    if (!run) return Forward(run);
+    runs_.push_back(*run);
     grid_ = std::make_unique<ReservoirGrid>();
     ReturnFreedMemory();
   }

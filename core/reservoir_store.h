@@ -3,11 +3,14 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <shared_mutex>
+#include <span>
+#include <thread>
 #include <vector>
 
 #include "core/block.h"
@@ -26,8 +29,9 @@ struct StoreLimits {
   std::uint64_t max_cells = std::numeric_limits<std::uint64_t>::max();
   /// With scratch space: bytes of the grid that fills and of the one on its way to disk together.
   std::uint64_t max_bytes = std::numeric_limits<std::uint64_t>::max();
-  ScratchFolder* scratch = nullptr;     ///< Null = nothing goes to disk.
-  bool barycentric = false;             ///< Whether reservoirs have their weights set.
+  ScratchFolder* scratch = nullptr;        ///< Null = nothing goes to disk.
+  bool barycentric = false;                ///< Whether reservoirs have their weights set.
+  CheckpointPlace* checkpoints = nullptr;  ///< Where runs outlive the process; null = nowhere.
   const RunContext* context = nullptr;  ///< Its cancel flag ends the writing of runs; may be null.
 };
 
@@ -36,6 +40,9 @@ struct StoreLimits {
 class ReservoirStore {
  public:
   explicit ReservoirStore(const StoreLimits& limits);
+  ~ReservoirStore();
+  ReservoirStore(const ReservoirStore&) = delete;
+  ReservoirStore& operator=(const ReservoirStore&) = delete;
 
   /// Merges the reservoirs of a sealed cache in. Threads: any number at once. May wait for the
   /// disk.
@@ -44,10 +51,22 @@ class ReservoirStore {
   /// Adds a run that another scan wrote. Threads: not while anything else runs.
   void Adopt(std::unique_ptr<ScratchFile> file, const RunExtent& extent);
 
+  /// Goes on with runs that a former process left. Threads: as for Adopt. Errors: kIo.
+  Result<void> Restore(const std::vector<RunExtent>& runs);
+
+  /// Whether the grid will soon have to go to disk: a good time for a checkpoint. Threads: any.
+  bool wants_checkpoint();
+  /// Takes what was merged in so far for the contents of a checkpoint: returns at once, writes it
+  /// as a run beside whatever comes next, and then calls `save` with all runs that hold it, from
+  /// another thread. Later, when runs become others that hold the same, `save` is called again
+  /// before the old ones go. What fails shows in status(). Threads: not while Merge runs.
+  using SaveRuns = std::function<Result<void>(std::span<const RunExtent>)>;
+  void Checkpoint(SaveRuns save);
+
   /// Whether workers should stop: over the limit of cells, or a write failed. Threads: any.
   bool full() const;
-  /// Why it is full. Threads: not while Merge runs.
-  Result<void> status() const;
+  /// Why it is full, once all writing has ended. Threads: not while Merge runs.
+  Result<void> status();
 
   /// Whether all there is lies in memory. Threads: as for status.
   bool in_memory() const { return runs_.empty(); }
@@ -68,14 +87,21 @@ class ReservoirStore {
   };
 
   void Spill();
-  Result<void> WriteRun(BlockStream& blocks);
+  void Settle();
+  void Note(const Result<void>& written);
+  Result<void> WriteCheckpoint(const ReservoirGrid& frozen, std::vector<Run> held);
+  Result<void> SaveCheckpoint(std::span<const Run> runs) const;
+  Result<void> OpenFile(std::uint64_t keep);
+  Result<Run> WriteRun(BlockStream& blocks);
   Result<void> MergeRuns(std::size_t count);
   std::unique_ptr<BlockStream> Open(const Run& run) const;
 
   StoreLimits limits_;
   std::shared_mutex grid_mutex_;  // Exclusive: the grid is exchanged.
   std::unique_ptr<ReservoirGrid> grid_;
-  std::mutex spill_mutex_;
+  std::mutex spill_mutex_;  // Guards the file, the runs and the failure while workers run.
+  std::thread writer_;      // Of the last checkpoint.
+  SaveRuns save_;           // Of the last checkpoint.
   std::unique_ptr<ScratchFile> file_;
   std::vector<std::unique_ptr<ScratchFile>> adopted_;
   std::vector<Run> runs_;

@@ -10,6 +10,8 @@
 
 namespace strata {
 
+class CheckpointPlace;
+
 /// One job's account of memory, scratch space, cancel flag and progress. Threads: every member may
 /// be used from any thread.
 /// Long calls poll `cancelled()` at least once a batch.
@@ -24,6 +26,11 @@ class RunContext {
   /// Null, as at first: nothing goes to disk. Set before the job starts; must outlive its results.
   void SetScratch(ScratchFolder* scratch) { scratch_ = scratch; }
   ScratchFolder* scratch() const { return scratch_; }
+
+  /// Null, as at first: nothing outlives a killed process. Set before the job starts; must outlive
+  /// its results.
+  void SetCheckpoints(CheckpointPlace* place) { checkpoints_ = place; }
+  CheckpointPlace* checkpoints() const { return checkpoints_; }
 
   void Cancel() { cancelled_.store(true, std::memory_order_relaxed); }
   bool cancelled() const { return cancelled_.load(std::memory_order_relaxed); }
@@ -43,6 +50,7 @@ class RunContext {
  private:
   MemoryAccount memory_;
   ScratchFolder* scratch_ = nullptr;
+  CheckpointPlace* checkpoints_ = nullptr;
   std::atomic<bool> cancelled_{false};
   std::atomic<Stage> stage_{Stage::kOpen};
   std::atomic<std::uint64_t> done_{0}, total_{0}, triangles_{0};

@@ -16,6 +16,7 @@
 #include <string>
 #include <vector>
 
+#include "core/checkpoint.h"
 #include "core/enclosing_ball.h"
 #include "core/gather.h"
 #include "core/race.h"
@@ -88,6 +89,10 @@ struct LatticeChoice {
     return found.probes_found == (1u << probes.size()) - 1;
   }
 };
+
+Result<LatticeChoice> ChoiceOf(const Checkpoint& checkpoint) {
+  return LatticeChoice{checkpoint.lattice, checkpoint.bounds, checkpoint.probes};
+}
 
 // Calls `visit` with the corners of every usable triangle.
 template <class F>
@@ -231,6 +236,7 @@ Result<ScanPlan> PlanScan(const SampleOptions& options, RunContext& context) {
   const MemoryAccount& memory = context.memory();
   if (!memory.limited()) return plan;
   plan.store.scratch = context.scratch();
+  if (plan.store.scratch != nullptr) plan.store.checkpoints = context.checkpoints();
   plan.store.context = &context;
   const std::uint64_t left = memory.left();
   std::uint64_t worker = WorkerBytes(options.batch_size, plan.most_batches);
@@ -273,10 +279,12 @@ class ScanJob {
     const Stopwatch watch;
     // The lattice is that of the whole surface, whatever share the reader gave before.
     reader_.SelectShare({});
-    auto choice = Choose(lattice);
+    const auto former = LoadCheckpoint();
+    if (!former) return Forward(former);
+    auto choice = *former ? ChoiceOf(**former) : Choose(lattice);
     if (!choice) return Forward(choice);
     stats().lattice_seconds = watch.seconds();
-    auto totals = ScanOn(*choice);
+    auto totals = ScanOn(*choice, *former);
     if (!totals) return Forward(totals);
     if (totals->batch.usable == 0 && share_.count == 1) {
       return Fail(ErrorCode::kEmptySurface, "no triangle of positive area among " +
@@ -286,7 +294,7 @@ class ScanJob {
     if (!choice->Holds(totals->batch)) {
       choice = FromSurface(reader_, options_.lattice, stats().passes, context_);
       if (!choice) return Forward(choice);
-      totals = ScanOn(*choice);
+      totals = ScanOn(*choice, {});
       if (!totals) return Forward(totals);
     }
     return Note(*choice, *totals);
@@ -306,7 +314,32 @@ class ScanJob {
     return FromSurface(reader_, options_.lattice, stats().passes, context_);
   }
 
-  Result<ScanTotals> ScanOn(const LatticeChoice& choice) {
+  Result<std::optional<Checkpoint>> LoadCheckpoint() {
+    if (context_.checkpoints() == nullptr) return std::optional<Checkpoint>();
+    const auto bytes = context_.checkpoints()->Load();
+    if (!bytes) return Forward(bytes);
+    if (!*bytes) return std::optional<Checkpoint>();
+    auto checkpoint = UnpackCheckpoint(**bytes);
+    if (!checkpoint) return Forward(checkpoint);
+    stats().resumed_at = checkpoint->scan.next;
+    return std::optional<Checkpoint>(std::move(*checkpoint));
+  }
+
+  // How the scan on a lattice is saved, and what it goes on from.
+  ScanCheckpoints CheckpointsOf(const LatticeChoice& choice, const ScanState& from) {
+    CheckpointPlace* const place = context_.checkpoints();
+    if (place == nullptr) return {};
+    const auto save = [place, choice](const ScanState& state,
+                                      std::span<const RunExtent> runs) -> Result<void> {
+      const auto bytes = PackCheckpoint({choice.lattice, choice.bounds, choice.probes, state,
+                                         std::vector<RunExtent>(runs.begin(), runs.end())});
+      if (!bytes) return Forward(bytes);
+      return place->Save(*bytes);
+    };
+    return {save, from};
+  }
+
+  Result<ScanTotals> ScanOn(const LatticeChoice& choice, const std::optional<Checkpoint>& former) {
     const double edge = choice.lattice.edge;
     if (!IsEdgeAllowed(edge)) {
       return Fail(ErrorCode::kOverBudget, "the cells' edge would be " + Number(edge) +
@@ -317,6 +350,9 @@ class ScanJob {
     const auto plan = PlanScan(options_, context_);
     if (!plan) return Forward(plan);
     result_.store = std::make_unique<ReservoirStore>(plan->store);
+    if (former) {
+      if (auto restored = result_.store->Restore(former->runs); !restored) return Forward(restored);
+    }
     ScanOptions scan;
     scan.kernel = {choice.lattice, options_.lambda, options_.seed, choice.probes};
     scan.integrator = options_.integrator;
@@ -327,7 +363,8 @@ class ScanJob {
     ++stats().passes;
     scan.most_batches = plan->most_batches;
     scan.share = share_;
-    auto totals = ScanTriangles(reader_, scan, *result_.store, context_);
+    auto totals = ScanTriangles(reader_, scan, *result_.store, context_,
+                                CheckpointsOf(choice, former ? former->scan : ScanState{}));
     stats().scan_seconds += watch.seconds();
     return totals;
   }

@@ -63,7 +63,8 @@ struct SampleStats {
   std::uint64_t pieces = 0;     ///< Triangle ∩ cell pairs of positive area.
   std::uint64_t survivors = 0;  ///< Samples after rejection.
   double lattice_seconds = 0, scan_seconds = 0, reject_seconds = 0;  ///< Wall time by stage.
-  int passes = 1;  ///< How often the triangles were read.
+  std::uint64_t resumed_at = 0;  ///< The triangles before this one were a former process's work.
+  int passes = 1;                ///< How often the triangles were read.
 };
 
 struct SampleResult {

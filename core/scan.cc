@@ -48,36 +48,69 @@ struct Worker {
 class Scanner {
  public:
   Scanner(MeshReader& reader, const ScanOptions& options, ReservoirStore& store,
-          RunContext& context)
-      : reader_(reader), options_(options), store_(store), context_(context), workers_([&] {
-          return Worker(store_, options_);
-        }) {}
+          RunContext& context, const ScanCheckpoints& checkpoints)
+      : reader_(reader),
+        options_(options),
+        store_(store),
+        context_(context),
+        checkpoints_(checkpoints),
+        workers_([&] { return Worker(store_, options_); }),
+        share_(options.share),
+        next_(checkpoints.from.next),
+        totals_(checkpoints.from.totals) {}
 
   Result<ScanTotals> Run() {
-    selected_ = reader_.SelectShare(options_.share);
-    const auto tokens = static_cast<std::size_t>(2 * options_.threads);
-    for (std::size_t i = 0; i < tokens; ++i) {
-      jobs_.push_back(std::make_unique<Job>());
-      free_.push(jobs_.back().get());
+    if (!checkpoints_.from.complete) {
+      Begin();
+      for (RunPipeline(); at_checkpoint_ && !Stopped(); RunPipeline()) TakeCheckpoint(false);
     }
-    tbb::parallel_pipeline(
-        tokens, tbb::make_filter<void, Job*>(tbb::filter_mode::serial_in_order,
-                                             [&](tbb::flow_control& flow) { return Next(flow); }) &
-                    tbb::make_filter<Job*, Job*>(tbb::filter_mode::parallel,
-                                                 [&](Job* job) {
-                                                   if (!Failed()) Process(*job);
-                                                   return job;
-                                                 }) &
-                    tbb::make_filter<Job*, void>(tbb::filter_mode::serial_in_order,
-                                                 [&](Job* job) { AddTotals(*job); }));
     return Finish();
   }
 
  private:
+  void Begin() {
+    share_.first = next_;
+    selected_ = reader_.SelectShare(share_);
+    if (selected_ && next_ > 0) {
+      read_before_ = totals_.read;
+      read_before_.Subtract(reader_.counts());
+    }
+    for (std::size_t i = 0; i < Tokens(); ++i) {
+      jobs_.push_back(std::make_unique<Job>());
+      free_.push(jobs_.back().get());
+    }
+  }
+
+  std::size_t Tokens() const { return static_cast<std::size_t>(2 * options_.threads); }
+
+  // Until the end of the mesh, a failure, or the next checkpoint.
+  void RunPipeline() {
+    at_checkpoint_ = false;
+    tbb::parallel_pipeline(
+        Tokens(),
+        tbb::make_filter<void, Job*>(tbb::filter_mode::serial_in_order,
+                                     [&](tbb::flow_control& flow) { return Next(flow); }) &
+            tbb::make_filter<Job*, Job*>(tbb::filter_mode::parallel,
+                                         [&](Job* job) {
+                                           if (!Failed()) Process(*job);
+                                           return job;
+                                         }) &
+            tbb::make_filter<Job*, void>(tbb::filter_mode::serial_in_order,
+                                         [&](Job* job) { AddTotals(*job); }));
+  }
+
+  // Nothing is under way.
+  void TakeCheckpoint(bool complete) {
+    FlushWorkers();
+    store_.Checkpoint([save = checkpoints_.save, state = ScanState{next_, complete, Totals()}](
+                          std::span<const RunExtent> runs) { return save(state, runs); });
+  }
+
   Job* Next(tbb::flow_control& flow) {
     if (context_.cancelled()) Fail(Error{ErrorCode::kCancelled, "cancelled"});
+    at_checkpoint_ = checkpoints_.save && store_.wants_checkpoint();
     Job* job = nullptr;
-    if (Failed() || store_.full() || !free_.try_pop(job)) {
+    if (at_checkpoint_ || Failed() || store_.full() || !free_.try_pop(job)) {
       flow.stop();
       return nullptr;
     }
@@ -101,6 +134,7 @@ class Scanner {
       auto count = reader_.Read(*job.batches[job.used]);
       if (!count) Fail(count.error());
       if (!count || *count == 0) break;
+      next_ = job.batches[job.used]->ids()[*count - 1] + 1;
       KeepShare(*job.batches[job.used]);
       ++job.used;
       context_.SetProgress(reader_.bytes_read(), reader_.bytes_total().value_or(0));
@@ -115,7 +149,7 @@ class Scanner {
     if (selected_) return;
     std::size_t kept = 0;
     for (std::size_t i = 0; i < batch.size(); ++i) {
-      if (!options_.share.Holds(batch.ids()[i])) continue;
+      if (!share_.Holds(batch.ids()[i])) continue;
       for (int k = 0; k < 9; ++k) batch.column(k)[kept] = batch.column(k)[i];
       batch.ids()[kept++] = batch.ids()[i];
     }
@@ -240,22 +274,39 @@ class Scanner {
 
   Result<ScanTotals> Finish() {
     if (context_.cancelled()) return Cancelled();
+    FlushWorkers();
+    if (auto stored = store_.status(); !stored) return Forward(stored);
+    if (failure_) return tl::unexpected<Error>(*failure_);
+    if (checkpoints_.save && !checkpoints_.from.complete && !store_.in_memory()) {
+      TakeCheckpoint(true);
+      if (auto stored = store_.status(); !stored) return Forward(stored);
+    }
+    ScanTotals totals = Totals();
+    totals.skipped[static_cast<std::size_t>(SkipReason::kZeroArea)] += totals.thin;
+    return totals;
+  }
+
+  void FlushWorkers() {
     std::vector<Worker*> all;
     for (Worker& worker : workers_) all.push_back(&worker);
     tbb::parallel_for(std::size_t{0}, all.size(),
                       [&](std::size_t i) { all[i]->racer.sink().Flush(); });
-    if (auto stored = store_.status(); !stored) return Forward(stored);
-    if (failure_) return tl::unexpected<Error>(*failure_);
+  }
+
+  // Of all that went through the pipeline. Nothing is under way.
+  ScanTotals Totals() {
+    ScanTotals all = totals_;
+    if (checkpoints_.from.complete) return all;
     for (const Worker& worker : workers_) {
-      for (std::size_t r = 0; r < totals_.skipped.size(); ++r) {
-        totals_.skipped[r] += worker.skipped[r];
-      }
-      totals_.pieces += worker.racer.pieces();
-      totals_.thin += worker.racer.thin() + worker.thin;
+      for (std::size_t r = 0; r < all.skipped.size(); ++r) all.skipped[r] += worker.skipped[r];
+      all.pieces += worker.racer.pieces();
+      all.thin += worker.racer.thin() + worker.thin;
     }
-    totals_.skipped[static_cast<std::size_t>(SkipReason::kZeroArea)] += totals_.thin;
-    if (selected_ || options_.share.index == 0) totals_.read = reader_.counts();
-    return totals_;
+    all.read = {};
+    if (!selected_ && share_.index != 0) return all;
+    all.read = read_before_;
+    all.read.Add(reader_.counts());
+    return all;
   }
 
   // Whether more work would be in vain. A large triangle's cells may be millions: asked before
@@ -273,12 +324,17 @@ class Scanner {
   const ScanOptions& options_;
   ReservoirStore& store_;
   RunContext& context_;
+  const ScanCheckpoints& checkpoints_;
   tbb::enumerable_thread_specific<Worker> workers_;
   std::vector<std::unique_ptr<Job>> jobs_;
   tbb::concurrent_queue<Job*> free_;
   std::size_t batches_read_ = 0;
-  bool selected_ = true;  // The reader gives the share's triangles only.
-  ScanTotals totals_;
+  Share share_;
+  bool selected_ = true;    // The reader gives the share's triangles only.
+  ReadCounts read_before_;  // What a former scan read and this one's reader passes over.
+  std::uint64_t next_;      // The number of the next triangle in the file.
+  bool at_checkpoint_ = false;
+  ScanTotals totals_;  // But for what the workers have, and what was read.
   std::atomic<bool> failed_{false};
   std::mutex failure_mutex_;
   std::optional<Error> failure_;
@@ -293,8 +349,9 @@ std::uint64_t WorkerBytes(std::size_t batch_size, std::size_t most_batches) {
 }
 
 Result<ScanTotals> ScanTriangles(MeshReader& reader, const ScanOptions& options,
-                                 ReservoirStore& store, RunContext& context) {
-  return Scanner(reader, options, store, context).Run();
+                                 ReservoirStore& store, RunContext& context,
+                                 const ScanCheckpoints& checkpoints) {
+  return Scanner(reader, options, store, context, checkpoints).Run();
 }
 
 }  // namespace strata

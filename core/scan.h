@@ -2,6 +2,8 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
+#include <span>
 
 #include "core/cell_race.h"
 #include "core/mesh_reader.h"
@@ -45,11 +47,28 @@ struct ScanTotals {
   std::uint64_t thin = 0;
 };
 
+/// How far a scan has come.
+struct ScanState {
+  std::uint64_t next = 0;  ///< Triangles before this number in file order are in the runs.
+  bool complete = false;   ///< All are.
+  ScanTotals totals;       ///< Of these.
+};
+
+/// How a scan can be gone on with, should the process die.
+struct ScanCheckpoints {
+  /// Called now and then, when all before `state.next` is in `runs`, from one thread at a time; a
+  /// failure ends the scan. Empty: no checkpoints.
+  std::function<Result<void>(const ScanState& state, std::span<const RunExtent> runs)> save;
+  /// Where a former scan got to, whose runs the store has been given.
+  ScanState from;
+};
+
 /// Reads `reader`, of which nothing was read since opening or Rewind, to its end and races every
 /// triangle of the share into `store`; leaves the share selected. Call inside the arena that is to
 /// be used. Memory: a few batches and one cache per thread. Errors: the reader's, kCancelled,
 /// kOverBudget (cell coordinates beyond kMaxCellCoordinate), kCorruptInput (strict).
 Result<ScanTotals> ScanTriangles(MeshReader& reader, const ScanOptions& options,
-                                 ReservoirStore& store, RunContext& context);
+                                 ReservoirStore& store, RunContext& context,
+                                 const ScanCheckpoints& checkpoints = {});
 
 }  // namespace strata

@@ -51,19 +51,6 @@ Registry& TheRegistry() {
   return registry;
 }
 
-std::optional<TemporaryKind> KindOf(std::string_view name) {
-  for (const TemporaryKind kind : {TemporaryKind::kFile, TemporaryKind::kFolder}) {
-    if (name.size() <= DecorationOf(kind) || name.front() != '.') continue;
-    if (!name.ends_with(SuffixOf(kind))) continue;
-    std::string_view stem = name.substr(0, name.size() - SuffixOf(kind).size());
-    const std::string_view digits = stem.substr(stem.size() - kRandomDigits);
-    if (digits.find_first_not_of("0123456789abcdef") != std::string_view::npos) continue;
-    stem.remove_suffix(kRandomDigits);
-    if (stem.ends_with(kInfix)) return kind;
-  }
-  return std::nullopt;
-}
-
 // A lock that can be taken says that the owner is dead, or has created the file and not locked it
 // yet; such an owner finds its name gone once it has the lock, and starts again.
 void RemoveIfAbandoned(int folder, const char* name, TemporaryKind kind) {
@@ -79,9 +66,8 @@ void RemoveIfAbandoned(int folder, const char* name, TemporaryKind kind) {
   close(fd);
 }
 
-// The names in an open folder that `keep` wants. Gathered first, because removing while reading may
-// skip some.
-std::vector<std::string> NamesIn(int folder, bool (*keep)(std::string_view)) {
+// What an open folder holds. Gathered first, because removing while reading may skip some.
+std::vector<std::string> NamesIn(int folder) {
   std::vector<std::string> names;
   const int fd = openat(folder, ".", O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   DIR* entries = fd < 0 ? nullptr : fdopendir(fd);
@@ -90,13 +76,12 @@ std::vector<std::string> NamesIn(int folder, bool (*keep)(std::string_view)) {
     return names;
   }
   while (const dirent* entry = readdir(entries)) {
-    if (keep(entry->d_name)) names.emplace_back(entry->d_name);
+    const std::string_view name = entry->d_name;
+    if (name != "." && name != "..") names.emplace_back(name);
   }
   closedir(entries);
   return names;
 }
-
-bool IsInside(std::string_view name) { return name != "." && name != ".."; }
 
 std::string RandomDigits() {
   std::uint64_t bits = 0;
@@ -145,10 +130,22 @@ bool NameRefersTo(int parent, const char* name, int fd) {
          by_name.st_dev == by_fd.st_dev && by_name.st_ino == by_fd.st_ino;
 }
 
-void RemoveLeftovers(int folder) {
-  const auto ours = [](std::string_view name) { return KindOf(name).has_value(); };
-  for (const std::string& name : NamesIn(folder, ours)) {
-    RemoveIfAbandoned(folder, name.c_str(), *KindOf(name));
+std::optional<TemporaryKind> KindOfTemporary(std::string_view name) {
+  for (const TemporaryKind kind : {TemporaryKind::kFile, TemporaryKind::kFolder}) {
+    if (name.size() <= DecorationOf(kind) || name.front() != '.') continue;
+    if (!name.ends_with(SuffixOf(kind))) continue;
+    std::string_view stem = name.substr(0, name.size() - SuffixOf(kind).size());
+    const std::string_view digits = stem.substr(stem.size() - kRandomDigits);
+    if (digits.find_first_not_of("0123456789abcdef") != std::string_view::npos) continue;
+    stem.remove_suffix(kRandomDigits);
+    if (stem.ends_with(kInfix)) return kind;
+  }
+  return std::nullopt;
+}
+
+void RemoveLeftovers(int folder, KindOfName kind) {
+  for (const std::string& name : NamesIn(folder)) {
+    if (const auto ours = kind(name)) RemoveIfAbandoned(folder, name.c_str(), *ours);
   }
 }
 
@@ -176,7 +173,7 @@ bool IsMarkedFolder(int parent, const std::string& name, const std::string& mark
 bool IsEmptyFolder(int parent, const char* name) {
   const int fd = openat(parent, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
   if (fd < 0) return false;
-  const bool empty = NamesIn(fd, IsInside).empty();
+  const bool empty = NamesIn(fd).empty();
   close(fd);
   return empty;
 }
@@ -185,7 +182,7 @@ void RemoveTree(int parent, const char* name) {
   if (unlinkat(parent, name, 0) == 0 || (errno != EISDIR && errno != EPERM)) return;
   const int fd = openat(parent, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
   if (fd < 0) return;
-  for (const std::string& inner : NamesIn(fd, IsInside)) RemoveTree(fd, inner.c_str());
+  for (const std::string& inner : NamesIn(fd)) RemoveTree(fd, inner.c_str());
   close(fd);
   unlinkat(parent, name, AT_REMOVEDIR);
 }

@@ -25,8 +25,13 @@ void UnregisterTemporary(int parent, const std::string& name);
 /// Whether `name` in `parent` is the open file or folder `fd`, and not a link to it.
 bool NameRefersTo(int parent, const char* name, int fd);
 
-/// Removes the temporary files and folders in `folder` that no living process has locked.
-void RemoveLeftovers(int folder);
+/// What a name stands for that is ours; nothing for others.
+using KindOfName = std::optional<TemporaryKind> (*)(std::string_view name);
+std::optional<TemporaryKind> KindOfTemporary(std::string_view name);
+
+/// Removes the files and folders in `folder` that have names of ours and that no living process has
+/// locked.
+void RemoveLeftovers(int folder, KindOfName kind = KindOfTemporary);
 
 /// Removes `name` in `parent`, and if it is a folder all that it holds. Follows no link.
 void RemoveTree(int parent, const char* name);

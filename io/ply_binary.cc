@@ -181,7 +181,7 @@ class BinaryRows : public PlyRows {
     runs_ = PlanRuns(*surface.element, surface.indices);
     shape_ = surface.strips ? TriangleShape{} : ShapeOf(runs_);
     rows_left_ = surface.element->count;
-    run_left_ = share_.count == 1 ? rows_left_ : 0;
+    run_left_ = share_.whole() ? rows_left_ : 0;
     in_strip_list_ = false;
   }
 
@@ -205,7 +205,7 @@ class BinaryRows : public PlyRows {
   Result<void> Resume(const PlyProgress& progress) override {
     rows_left_ = progress.rows_left;
     run_left_ = progress.run_left;
-    if (share_.count > 1) LimitToRun(progress.mark.offset);
+    if (!share_.whole()) LimitToRun(progress.mark.offset);
     in_strip_list_ = progress.in_strip_list;
     strip_left_ = progress.strip_left;
     return Seek(progress.mark);

@@ -43,7 +43,7 @@ class PlyReader : public MeshReader {
   std::optional<std::uint64_t> bytes_total() const override { return source_->stored_size(); }
 
   bool SelectShare(const Share& share) override {
-    const bool can = share.count == 1 || HasTriangleSize();
+    const bool can = share.whole() || HasTriangleSize();
     share_ = can ? share : Share{};
     rows_->SelectShare(share_);
     faces_.CountVertices(share_.index == 0);

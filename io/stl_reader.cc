@@ -107,7 +107,7 @@ class BinaryStlReader : public StlReader {
 
   // Of a file of known size Open has seen that all facets are there, each in its place.
   bool SelectShare(const Share& share) override {
-    const bool can = share.count == 1 || (source_->compression() == "none" && source_->size());
+    const bool can = share.whole() || (source_->compression() == "none" && source_->size());
     share_ = can ? share : Share{};
     run_end_ = next_;
     return can;

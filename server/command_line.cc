@@ -296,6 +296,7 @@ void ConvertRun(const RawSample& raw, Converter& convert, SampleCommand& command
   if (raw.memory) convert.Text(raw.memory, command.memory, ParseMemory);
   command.scratch = raw.scratch;
   command.simd = raw.simd.value_or(command.simd);
+  command.resume = raw.resume;
   command.quiet = raw.quiet;
 }
 

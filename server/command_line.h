@@ -29,6 +29,7 @@ struct SampleCommand {
   std::string simd = "auto";            ///< "auto" or the name of a vector instruction set.
   std::optional<std::uint64_t> memory;  ///< Bytes, at least kLeastMemory; absent = half of all.
   std::optional<std::string> scratch;   ///< Directory; absent = the system's.
+  bool resume = false;                  ///< Go on with what a killed process left in scratch.
   bool quiet = false;
 };
 

@@ -89,8 +89,12 @@ constexpr std::array<OptionRow, 19> kOptionRows = {{
      &RawSample::batch_size},
 }};
 
-constexpr std::array<FlagRow, 2> kFlagRows = {{
+constexpr std::array<FlagRow, 3> kFlagRows = {{
     {"--strict", kHow, "A triangle that would be skipped is an error instead.", &RawSample::strict},
+    {"--resume", kRun,
+     "Go on from where the same job was killed, if --scratch still has\n"
+     "what it left; and leave that again, should this one fail.",
+     &RawSample::resume},
     {"--quiet", kRun, "No progress bar and no summary; errors only.", &RawSample::quiet},
 }};
 
@@ -102,9 +106,9 @@ std::span<const FlagRow> SampleFlagRows() { return kFlagRows; }
 bool Takes(Subcommand command, std::string_view names) {
   if (command == Subcommand::kSample) return true;
   // What decides the reservoirs, and what decides the rest.
-  constexpr std::string_view kOfScan[] = {"--resolution", "--voxel-size", "--height",
-                                          "--lambda",     "--seed",       "--integrator",
-                                          "--simd",       "--batch-size", "--strict"};
+  constexpr std::string_view kOfScan[] = {
+      "--resolution", "--voxel-size", "--height",     "--lambda", "--seed",
+      "--integrator", "--simd",       "--batch-size", "--strict", "--resume"};
   constexpr std::string_view kOfMerge[] = {"--min-distance", "--format",  "--position-error",
                                            "--tile-samples", "--picture", "--summary"};
   const bool of_scan = std::ranges::find(kOfScan, names) != std::end(kOfScan);

@@ -5,9 +5,11 @@
 #include <optional>
 #include <string>
 
+#include "core/mesh_reader.h"
 #include "core/run_context.h"
 #include "core/scratch.h"
 #include "io/open_mesh.h"
+#include "server/command_line.h"
 
 namespace strata::server {
 
@@ -15,6 +17,12 @@ namespace strata::server {
 /// missing, or on a read-only mount: then null, and the job has to fit memory. Errors: kNotFound,
 /// kIo, of a directory that was named.
 Result<std::unique_ptr<ScratchFolder>> OpenScratch(const std::optional<std::string>& directory);
+
+/// What names a job's folder in scratch space: the same for jobs whose scans come to the same
+/// reservoirs. Two files that FileDigest does not tell apart and that were modified at the same
+/// nanosecond count as one. Errors: kNotFound, kIo.
+Result<std::string> JobKey(const SampleCommand& command, const Share& share,
+                           const std::optional<Lattice>& lattice);
 
 /// How to open a mesh for a job: its vertices take at most a third of the context's budget.
 io::OpenOptions OpenWithin(RunContext& context);

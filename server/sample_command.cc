@@ -22,6 +22,7 @@
 #include "core/stopwatch.h"
 #include "io/atomic_file.h"
 #include "io/file_digest.h"
+#include "io/job_folder.h"
 #include "io/open_mesh.h"
 #include "io/picture.h"
 #include "io/sample_writer.h"
@@ -234,7 +235,10 @@ class Job {
   }
   Job(const Job&) = delete;
   Job& operator=(const Job&) = delete;
-  ~Job() { context_.SetScratch(nullptr); }
+  ~Job() {
+    context_.SetScratch(nullptr);
+    context_.SetCheckpoints(nullptr);
+  }
 
   Result<void> Prepare(const std::vector<Place>& places) {
     if (auto checked = RefuseSameFiles(places); !checked) return checked;
@@ -244,6 +248,19 @@ class Job {
     if (!scratch) return Forward(scratch);
     scratch_ = std::move(*scratch);
     context_.SetScratch(scratch_.get());
+    if (scratch_ && !command_.resume) io::RemoveAbandonedJobs(scratch_->path());
+    return {};
+  }
+
+  /// What the scan comes to then outlives a process that is killed. Standard input does not.
+  Result<void> KeepCheckpoints(const Share& share, const std::optional<Lattice>& lattice) {
+    if (!scratch_ || command_.input == "-") return {};
+    const auto key = JobKey(command_, share, lattice);
+    if (!key) return Forward(key);
+    auto folder = io::JobFolder::Open(scratch_->path(), *key, command_.resume);
+    if (!folder) return Forward(folder);
+    folder_ = std::move(*folder);
+    context_.SetCheckpoints(folder_.get());
     return {};
   }
 
@@ -257,6 +274,7 @@ class Job {
     figures.total_seconds = watch_.seconds();
     bar_.Stop();
     if (auto noted = WriteSummary(command_, stats, figures); !noted) return noted;
+    if (folder_) folder_->Finish();
     if (!command_.quiet) std::fputs(SummaryText(command_, stats, figures).c_str(), stderr);
     return {};
   }
@@ -270,6 +288,7 @@ class Job {
     if (!written) return written;
     const auto bytes = (*file)->Finish();
     if (!bytes) return Forward(bytes);
+    if (folder_) folder_->Finish();
     bar_.Stop();
     if (!command_.quiet) std::fputs(PartialText(command_.output, info, *bytes).c_str(), stderr);
     return {};
@@ -282,6 +301,7 @@ class Job {
   RunContext& context_;
   Stopwatch watch_;
   std::unique_ptr<ScratchFolder> scratch_;
+  std::unique_ptr<io::JobFolder> folder_;
   ProgressBar bar_;
 };
 
@@ -322,6 +342,8 @@ Result<void> RunScan(const ScanCommand& command, RunContext& context) {
   if (!mesh) return Forward(mesh);
   const auto reader = OpenInput(command_of_job, context, job.figures);
   if (!reader) return Forward(reader);
+  auto kept = job.KeepCheckpoints(command.share, command.lattice);
+  if (!kept) return kept;
   const SampleOptions& options = command_of_job.options;
   auto scanned = ScanMesh(**reader, options, command.share, command.lattice, context);
   if (!scanned) return tl::unexpected<Error>(Named(scanned.error(), command_of_job.input));
@@ -357,6 +379,7 @@ Result<void> RunMerge(const MergeCommand& command, RunContext& context) {
 Result<void> RunSample(const SampleCommand& command, RunContext& context) {
   Job job(command, context);
   if (auto ready = job.Prepare(PlacesOf(command)); !ready) return ready;
+  if (auto kept = job.KeepCheckpoints({}, {}); !kept) return kept;
   auto sampled = Sample(command, context, job.figures);
   if (!sampled) return Forward(sampled);
   return job.Deliver(std::move(*sampled));

@@ -73,11 +73,16 @@ std::string SummaryJson(const SampleCommand& command, const SampleStats& stats,
   json["pieces"] = stats.pieces;
   json["samples"] = {{"before_rejection", stats.cells}, {"after_rejection", stats.survivors}};
   json["passes"] = stats.passes;
+  json["resumed_at_triangle"] = stats.resumed_at;
   json["stages"] = StagesToJson(stats, figures);
   json["seconds"] = figures.total_seconds;
   json["threads"] = figures.threads;
   json["peak_memory_bytes"] = PeakMemoryBytes();
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + '\n';
+}
+
+std::string ResumedText(std::uint64_t at) {
+  return at == 0 ? "" : "; the first " + Grouped(at) + " by a former process";
 }
 
 std::string SummaryText(const SampleCommand& command, const SampleStats& stats,
@@ -86,7 +91,7 @@ std::string SummaryText(const SampleCommand& command, const SampleStats& stats,
   out << "samples    " << Grouped(stats.survivors) << " of " << Grouped(stats.cells)
       << " occupied cells of edge " << Short(stats.lattice.edge) << '\n'
       << "triangles  " << Grouped(stats.sampled) << ", skipped " << Grouped(Sum(stats.skipped))
-      << SkippedByReason(stats.skipped) << '\n'
+      << SkippedByReason(stats.skipped) << ResumedText(stats.resumed_at) << '\n'
       << "area       " << Short(stats.mesh_area) << '\n'
       << "time       " << Seconds(figures.total_seconds) << ": opening "
       << Seconds(figures.open_seconds) << ", scan "
