@@ -57,6 +57,7 @@ void ReservoirStore::Spill() {
     // Another worker may have been here first.
     if (grid_->bytes() <= limits_.max_bytes / 2 || failure_) return;
     frozen = std::exchange(grid_, std::make_unique<ReservoirGrid>());
+    spilled_ = true;
   }
   const auto run = WriteRun(*frozen->Blocks());
   if (run) runs_.push_back(*run);
@@ -75,7 +76,9 @@ void ReservoirStore::Note(const Result<void>& written) {
 
 bool ReservoirStore::wants_checkpoint() {
   const std::shared_lock<std::shared_mutex> lock(grid_mutex_);
-  return grid_->size() > 0 && grid_->bytes() > limits_.max_bytes / 8 * 3;
+  // Three quarters of what workers would let it come to; less once they have been that far.
+  const std::uint64_t enough = limits_.max_bytes / 8 * (spilled_ ? 1 : 3);
+  return grid_->size() > 0 && grid_->bytes() > enough;
 }
 
 void ReservoirStore::Settle() {
@@ -86,6 +89,7 @@ void ReservoirStore::Checkpoint(SaveRuns save) {
   Settle();
   if (failure_) return;
   save_ = std::move(save);
+  spilled_ = false;
   // What workers add from here on may be written first, but is not of this checkpoint.
   writer_ =
       std::thread([this, held = runs_,

@@ -54,7 +54,8 @@ class ReservoirStore {
   /// Goes on with runs that a former process left. Threads: as for Adopt. Errors: kIo.
   Result<void> Restore(const std::vector<RunExtent>& runs);
 
-  /// Whether the grid will soon have to go to disk: a good time for a checkpoint. Threads: any.
+  /// Whether the grid will soon have to go to disk, or had to: a good time for a checkpoint.
+  /// Threads: any.
   bool wants_checkpoint();
   /// Takes what was merged in so far for the contents of a checkpoint: returns at once, writes it
   /// as a run beside whatever comes next, and then calls `save` with all runs that hold it, from
@@ -98,6 +99,7 @@ class ReservoirStore {
 
   StoreLimits limits_;
   std::shared_mutex grid_mutex_;  // Exclusive: the grid is exchanged.
+  bool spilled_ = false;          // By a worker, since the last checkpoint. Of grid_mutex_.
   std::unique_ptr<ReservoirGrid> grid_;
   std::mutex spill_mutex_;  // Guards the file, the runs and the failure while workers run.
   std::thread writer_;      // Of the last checkpoint.

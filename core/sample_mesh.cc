@@ -292,6 +292,7 @@ class ScanJob {
                                                 " triangles");
     }
     if (!choice->Holds(totals->batch)) {
+      reader_.SelectShare({});
       choice = FromSurface(reader_, options_.lattice, stats().passes, context_);
       if (!choice) return Forward(choice);
       totals = ScanOn(*choice, {});
@@ -320,7 +321,10 @@ class ScanJob {
     if (!bytes) return Forward(bytes);
     if (!*bytes) return std::optional<Checkpoint>();
     auto checkpoint = UnpackCheckpoint(**bytes);
-    if (!checkpoint) return Forward(checkpoint);
+    if (!checkpoint) {
+      return Fail(ErrorCode::kIo,
+                  "in scratch space: " + checkpoint.error().message + "; start without --resume");
+    }
     stats().resumed_at = checkpoint->scan.next;
     return std::optional<Checkpoint>(std::move(*checkpoint));
   }

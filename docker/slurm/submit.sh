@@ -16,6 +16,9 @@
 #   STRATA_SCAN_OPTIONS   options of `strata scan`: --resolution, --voxel-size, --height, --lattice,
 #                         --lambda, --seed, --integrator, --attributes …
 #   STRATA_MERGE_OPTIONS  options of `strata merge`: --min-distance, --attributes, --format …
+#   STRATA_SCRATCH        a folder for scratch space that outlives a task, best one that every node
+#                         sees: a task that starts again then goes on where it was killed (default:
+#                         the node's own temporary folder, and no going on)
 #   STRATA_RETRIES        how often a task that was killed or could not read or write is put back
 #                         into the queue (default 3)
 #   STRATA                the command (default: strata, as found on the nodes)

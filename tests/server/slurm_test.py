@@ -89,8 +89,9 @@ class Job:
         self.variables = {
             'STRATA': options.strata, 'STRATA_MESH': str(mesh), 'STRATA_SHARES': str(SHARES),
             'STRATA_PARTS': str(self.parts), 'STRATA_OUTPUT': str(self.output),
-            'STRATA_SCAN_OPTIONS': SCAN + ' --attributes normal,area', 'STRATA_MERGE_OPTIONS': MERGE,
+            'STRATA_SCRATCH': str(folder / 'scratch'), 'STRATA_SCAN_OPTIONS': SCAN + ' --attributes normal,area', 'STRATA_MERGE_OPTIONS': MERGE,
         }
+        (folder / 'scratch').mkdir()
         self.script = pathlib.Path(options.source) / 'docker/slurm/submit.sh'
 
     def submit(self):
