@@ -19,9 +19,10 @@ enum class ErrorCode : std::uint8_t {
   kOverBudget,       ///< The work does not fit a limit (memory, lattice size, Draco's own limits).
   kIo,               ///< The operating system refused a read or write (disk full included).
   kCancelled,        ///< The caller asked to stop.
+  kConflict,         ///< What is stored, or who owns it, contradicts the request.
   kInternal,         ///< A defect in Strata.
 };
-inline constexpr int kErrorCodeCount = 9;
+inline constexpr int kErrorCodeCount = 10;
 
 /// A failure: its kind, and a message for a person that names file, offset or line, what was found
 /// and what was expected.

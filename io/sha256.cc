@@ -6,18 +6,36 @@
 
 namespace strata::io {
 
-std::string Sha256Hex(std::span<const char> bytes) {
+void Hasher::Free::operator()(evp_md_ctx_st* context) const { EVP_MD_CTX_free(context); }
+
+Hasher::Hasher(DigestKind kind) : context_(EVP_MD_CTX_new()) {
+  const EVP_MD* method = kind == DigestKind::kSha1 ? EVP_sha1() : EVP_sha256();
+  if (context_ && EVP_DigestInit_ex(context_.get(), method, nullptr) != 1) context_.reset();
+}
+
+void Hasher::Update(std::span<const char> bytes) {
+  if (context_ && EVP_DigestUpdate(context_.get(), bytes.data(), bytes.size()) != 1) {
+    context_.reset();
+  }
+}
+
+std::string Hasher::HexDigest() {
   std::array<unsigned char, EVP_MAX_MD_SIZE> digest;
   unsigned int size = 0;
-  if (EVP_Digest(bytes.data(), bytes.size(), digest.data(), &size, EVP_sha256(), nullptr) != 1) {
-    return {};
-  }
+  if (!context_ || EVP_DigestFinal_ex(context_.get(), digest.data(), &size) != 1) return {};
+  context_.reset();
   std::string hex;
   for (unsigned int i = 0; i < size; ++i) {
     hex += "0123456789abcdef"[digest[i] >> 4];
     hex += "0123456789abcdef"[digest[i] & 15];
   }
   return hex;
+}
+
+std::string Sha256Hex(std::span<const char> bytes) {
+  Hasher hasher;
+  hasher.Update(bytes);
+  return hasher.HexDigest();
 }
 
 }  // namespace strata::io

@@ -34,6 +34,8 @@ LIBRARIES = {
     'png.h': {'io'},
     'zlib.h': {'io'},
     'zstd.h': {'core', 'io'},
+    'sqlite3.h': {'server'},  # In server/store alone.
+    'utf8cpp/': {'server'},
     'CLI/': {'server'},
     'nlohmann/': {'io', 'server'},
     'spdlog/': {'server'},

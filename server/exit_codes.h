@@ -31,6 +31,8 @@ inline constexpr std::array<ExitCode, kErrorCodeCount> kExitCodes = {{
      "the work does not fit a limit (lattice, memory, output format)"},
     {ErrorCode::kIo, 8, 507, 14, "a read or write failed (disk full included)"},
     {ErrorCode::kCancelled, 130, 499, 1, "stopped by Ctrl-C (143: by SIGTERM, 129: by SIGHUP)"},
+    {ErrorCode::kConflict, 9, 409, 10,
+     "what is stored contradicts the request, or another process owns it"},
     {ErrorCode::kInternal, 70, 500, 13, "a defect in Strata: please report it"},
 }};
 

@@ -1,0 +1,336 @@
+#include "server/store/blob_store.h"
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+
+#include "io/output_place.h"
+#include "server/store/schema.h"
+
+namespace strata::server {
+namespace {
+
+// Of a blob whose size is not known, space is reserved in such steps.
+constexpr std::uint64_t kReserveStep = 1 << 20;
+
+std::string InnerPath(const std::string& hash) { return hash.substr(0, 2) + "/" + hash.substr(2); }
+
+}  // namespace
+
+Result<std::unique_ptr<BlobStore>> BlobStore::Open(DataFolder& folder, Database& database,
+                                                   const BlobLimits& limits) {
+  std::unique_ptr<BlobStore> store(new BlobStore(folder, database, limits));
+  if (auto recovered = store->Recover(); !recovered) return Forward(recovered);
+  return store;
+}
+
+Result<void> BlobStore::Recover() {
+  std::set<std::string> known;
+  {
+    auto session = database_.Write();
+    if (!session) return Forward(session);
+    auto forgotten = session->Run(std::string("DELETE FROM blobs WHERE ") + kUnreferenced);
+    if (!forgotten) return Forward(forgotten);
+    recovery_.unreferenced = static_cast<std::uint64_t>(*forgotten);
+    auto listed = session->Query("SELECT hash, size, kind FROM blobs", [&](const Row& row) {
+      const auto size = static_cast<std::uint64_t>(row.Int(1));
+      known.insert(row.Text(0));
+      budget(static_cast<BlobKind>(row.Int(2))).Add(size);
+      // A row's file was durable before the row: what is missing was taken away from outside.
+      if (!HasFile(row.Text(0), size)) recovery_.damaged.push_back(row.Text(0));
+    });
+    if (!listed) return Forward(listed);
+    if (auto committed = session->Commit(); !committed) return committed;
+  }
+  Result<void> swept;
+  auto listed = ForEachName(folder_.blobs().get(), [&](const std::string& prefix) {
+    if (swept) swept = SweepFolder(prefix, known);
+  });
+  if (!listed) return listed;
+  return swept;
+}
+
+bool BlobStore::HasFile(const std::string& hash, std::uint64_t size) const {
+  struct stat status;
+  const std::string path = InnerPath(hash);
+  return fstatat(folder_.blobs().get(), path.c_str(), &status, AT_SYMLINK_NOFOLLOW) == 0 &&
+         S_ISREG(status.st_mode) && static_cast<std::uint64_t>(status.st_size) == size;
+}
+
+Result<void> BlobStore::SweepFolder(const std::string& prefix, const std::set<std::string>& known) {
+  if (!IsHex(prefix, 2)) return {};  // Not ours.
+  const Fd inner(openat(folder_.blobs().get(), prefix.c_str(),
+                        O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC));
+  if (!inner) return FailSystem("blobs/" + prefix, "cannot open the folder", errno);
+  return ForEachName(inner.get(), [&](const std::string& rest) {
+    if (known.contains(prefix + rest)) return;
+    if (unlinkat(inner.get(), rest.c_str(), 0) == 0) ++recovery_.orphan_files;
+  });
+}
+
+Result<void> BlobStore::Reserve(DiskShare& share, BlobKind kind, std::uint64_t bytes) {
+  if (auto free = CheckFreeSpace(bytes); !free) return free;
+  while (!share.Grow(bytes)) {
+    const bool may_evict = kind == BlobKind::kResult && make_room_;
+    if (!may_evict || bytes > budget(kind).limit() || !make_room_(bytes)) {
+      return budget(kind).FailOver(bytes);
+    }
+  }
+  return {};
+}
+
+Result<void> BlobStore::CheckFreeSpace(std::uint64_t bytes) const {
+  struct statvfs disk;
+  if (fstatvfs(folder_.blobs().get(), &disk) != 0) return {};  // The write itself will tell.
+  const std::uint64_t free = std::uint64_t{disk.f_bavail} * disk.f_frsize;
+  if (free >= keep_free_bytes_ && bytes <= free - keep_free_bytes_) return {};
+  return Fail(ErrorCode::kOverBudget, folder_.path() + ": " + std::to_string(bytes) +
+                                          " bytes wanted, " + std::to_string(free) +
+                                          " free on the disk, of which " +
+                                          std::to_string(keep_free_bytes_) + " are kept free");
+}
+
+Result<BlobWriter> BlobStore::NewBlob(BlobKind kind, std::optional<std::uint64_t> size) {
+  BlobWriter writer;
+  writer.store_ = this;
+  writer.kind_ = kind;
+  writer.announced_ = size;
+  writer.share_ = budget(kind).NewShare();
+  if (auto reserved = Reserve(writer.share_, kind, size.value_or(0)); !reserved) {
+    return Forward(reserved);
+  }
+  writer.name_ = RandomId();
+  const int flags = O_RDWR | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC;
+  writer.fd_ = Fd(openat(folder_.incoming().get(), writer.name_.c_str(), flags, 0600));
+  if (!writer.fd_) return FailSystem("incoming/" + writer.name_, "cannot be made", errno);
+  return writer;
+}
+
+BlobWriter::~BlobWriter() { Discard(); }
+
+void BlobWriter::Discard() {
+  if (!fd_) return;
+  unlinkat(store_->folder_.incoming().get(), name_.c_str(), 0);
+  fd_ = Fd();
+}
+
+Result<void> BlobWriter::ReserveFor(std::uint64_t bytes) {
+  if (announced_ && bytes > *announced_ - size_) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "byte " + std::to_string(size_) + ": " + std::to_string(bytes) +
+                    " bytes more found, the announced size is " + std::to_string(*announced_));
+  }
+  if (size_ + bytes <= share_.bytes()) return {};
+  const std::uint64_t missing = size_ + bytes - share_.bytes();
+  // Near the limit a whole step may be too much.
+  auto reserved = store_->Reserve(share_, kind_, std::max(missing, kReserveStep));
+  return reserved ? reserved : store_->Reserve(share_, kind_, missing);
+}
+
+Result<void> BlobWriter::Write(std::string_view bytes) {
+  if (!fd_) return Fail(ErrorCode::kInternal, name_ + ": written after its end");
+  auto written = ReserveFor(bytes.size());
+  if (written) {
+    if (const int error = io::WriteAll(fd_.get(), bytes, size_); error != 0) {
+      written = FailSystem("incoming/" + name_,
+                           "byte " + std::to_string(size_) + ": cannot be written", error);
+    }
+  }
+  hasher_.Update(bytes);
+  if (!written) Discard();
+  return written;
+}
+
+Result<BlobPin> BlobWriter::Commit() {
+  if (!fd_) return Fail(ErrorCode::kInternal, name_ + ": committed twice");
+  if (announced_ && size_ != *announced_) {
+    return Fail(ErrorCode::kInvalidArgument, std::to_string(size_) + " bytes found, " +
+                                                 std::to_string(*announced_) + " announced");
+  }
+  const std::string hash = hasher_.HexDigest();
+  if (!IsHash(hash)) return Fail(ErrorCode::kInternal, name_ + ": no SHA-256");
+  if (fsync(fd_.get()) != 0) {
+    return FailSystem("incoming/" + name_, "cannot be synced to disk", errno);
+  }
+  return store_->Adopt({store_->folder_.incoming(), name_, hash, size_, kind_}, share_);
+}
+
+Result<BlobPin> BlobStore::Import(const std::string& name, BlobKind kind) {
+  const std::string path = "incoming/" + name;
+  const int incoming = folder_.incoming().get();
+  const Fd fd(openat(incoming, name.c_str(), O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC));
+  if (!fd) return FailSystem(path, "cannot be opened", errno);
+  const auto import = [&]() -> Result<BlobPin> {
+    const auto size = RegularFileSize(fd.get(), path);
+    if (!size) return Forward(size);
+    DiskShare share = budget(kind).NewShare();
+    if (auto reserved = Reserve(share, kind, *size); !reserved) return Forward(reserved);
+    const auto hash = HashFile(fd.get(), *size, path);
+    if (!hash) return Forward(hash);
+    if (fsync(fd.get()) != 0) return FailSystem(path, "cannot be synced to disk", errno);
+    return Adopt({folder_.incoming(), name, *hash, *size, kind}, share);
+  };
+  auto pin = import();
+  unlinkat(incoming, name.c_str(), 0);
+  return pin;
+}
+
+Result<bool> BlobStore::Knows(const std::string& hash) {
+  bool known = false;
+  auto asked = database_.Read().Query(
+      "SELECT 1 FROM blobs WHERE hash = ?", [&](const Row&) { known = true; }, hash);
+  if (!asked) return Forward(asked);
+  return known;
+}
+
+Result<BlobPin> BlobStore::Adopt(const Adoption& file, DiskShare& share) {
+  const std::lock_guard lock(mutex_);
+  const auto known = Knows(file.hash);
+  if (!known) return Forward(known);
+  if (!*known || !HasFile(file.hash, file.size)) {
+    if (auto linked = Link(file); !linked) return Forward(linked);
+  }
+  if (!*known) {
+    if (auto inserted = Insert(file, share); !inserted) {
+      unlinkat(folder_.blobs().get(), InnerPath(file.hash).c_str(), 0);
+      return Forward(inserted);
+    }
+  }
+  return PinLocked(file.hash, file.size);
+}
+
+// A link and not a rename: until the row is there, the file keeps the name it had, and an upload
+// that is cut short here can be finished again.
+Result<void> BlobStore::Link(const Adoption& file) {
+  const std::string prefix = file.hash.substr(0, 2), rest = file.hash.substr(2);
+  const auto inner = OpenFolder(folder_.blobs().get(), prefix);
+  if (!inner) return Forward(inner);
+  const int from = file.folder.get();
+  int done = linkat(from, file.name.c_str(), inner->get(), rest.c_str(), 0);
+  if (done != 0 && errno == EEXIST) {
+    // Left by an insertion that failed; there is no row, so nobody reads it.
+    unlinkat(inner->get(), rest.c_str(), 0);
+    done = linkat(from, file.name.c_str(), inner->get(), rest.c_str(), 0);
+  }
+  if (done != 0) return FailSystem(PathOf(file.hash), "cannot be made", errno);
+  auto synced = SyncFolder(*inner, "blobs/" + prefix);
+  if (!synced) unlinkat(inner->get(), rest.c_str(), 0);
+  return synced;
+}
+
+Result<void> BlobStore::Insert(const Adoption& file, DiskShare& share) {
+  auto session = database_.Write();
+  if (!session) return Forward(session);
+  auto inserted =
+      session->Run("INSERT INTO blobs (hash, size, kind) VALUES (?, ?, ?)", file.hash,
+                   static_cast<std::int64_t>(file.size), static_cast<std::int64_t>(file.kind));
+  if (!inserted) return Forward(inserted);
+  if (auto committed = session->Commit(); !committed) return committed;
+  share.Keep(file.size);
+  return {};
+}
+
+Result<BlobPin> BlobStore::Pin(const std::string& hash) {
+  const std::lock_guard lock(mutex_);
+  std::optional<std::int64_t> size;
+  auto asked = database_.Read().Query(
+      "SELECT size FROM blobs WHERE hash = ?", [&](const Row& row) { size = row.Int(0); }, hash);
+  if (!asked) return Forward(asked);
+  if (!size) return Fail(ErrorCode::kNotFound, "no content with SHA-256 " + hash);
+  return PinLocked(hash, static_cast<std::uint64_t>(*size));
+}
+
+Result<BlobPin> BlobStore::PinLocked(const std::string& hash, std::uint64_t size) {
+  ++pins_[hash];
+  return BlobPin(this, hash, size);
+}
+
+Result<BlobReader> BlobStore::OpenBlob(const std::string& hash) {
+  auto pin = Pin(hash);
+  if (!pin) return Forward(pin);
+  Fd fd(openat(folder_.blobs().get(), InnerPath(hash).c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC));
+  if (!fd) {
+    return Fail(ErrorCode::kIo, PathOf(hash) + ": cannot be opened: " + io::SystemReason(errno));
+  }
+  const auto size = RegularFileSize(fd.get(), PathOf(hash));
+  if (!size) return Forward(size);
+  if (*size != pin->size()) {
+    return Fail(ErrorCode::kIo, PathOf(hash) + ": damaged: " + std::to_string(*size) +
+                                    " bytes found, expected " + std::to_string(pin->size()));
+  }
+  return BlobReader{std::move(*pin), std::move(fd)};
+}
+
+bool BlobStore::IsPinned(const std::string& hash) const {
+  const std::lock_guard lock(mutex_);
+  return pins_.contains(hash);
+}
+
+void BlobStore::Unpin(const std::string& hash) {
+  const std::lock_guard lock(mutex_);
+  const auto pinned = pins_.find(hash);
+  if (--pinned->second > 0) return;
+  pins_.erase(pinned);
+  CollectLocked(hash);
+}
+
+void BlobStore::Collect(const std::string& hash) {
+  const std::lock_guard lock(mutex_);
+  if (!pins_.contains(hash)) CollectLocked(hash);
+}
+
+Result<void> BlobStore::CollectAll() {
+  static const std::string kList = std::string("SELECT hash FROM blobs WHERE ") + kUnreferenced;
+  std::vector<std::string> hashes;
+  {
+    Session session = database_.Read();
+    auto listed = session.Query(kList, [&](const Row& row) { hashes.push_back(row.Text(0)); });
+    if (!listed) return Forward(listed);
+  }
+  for (const std::string& hash : hashes) Collect(hash);
+  return {};
+}
+
+void BlobStore::CollectLocked(const std::string& hash) {
+  static const std::string kFind =
+      std::string("SELECT size, kind FROM blobs WHERE hash = ? AND ") + kUnreferenced;
+  std::optional<std::pair<std::uint64_t, BlobKind>> found;
+  {
+    Session session = database_.Read();
+    const auto note = [&](const Row& row) {
+      found.emplace(static_cast<std::uint64_t>(row.Int(0)), static_cast<BlobKind>(row.Int(1)));
+    };
+    if (!session.Query(kFind, note, hash) || !found) return;
+    // Foreign keys refuse this if a reference came after all.
+    if (!session.Run("DELETE FROM blobs WHERE hash = ?", hash)) return;
+  }
+  unlinkat(folder_.blobs().get(), InnerPath(hash).c_str(), 0);
+  budget(found->second).Remove(found->first);
+}
+
+BlobPin::BlobPin(BlobPin&& other) noexcept
+    : store_(std::exchange(other.store_, nullptr)),
+      hash_(std::move(other.hash_)),
+      size_(other.size_) {}
+
+BlobPin& BlobPin::operator=(BlobPin&& other) noexcept {
+  if (this != &other) {
+    Release();
+    store_ = std::exchange(other.store_, nullptr);
+    hash_ = std::move(other.hash_);
+    size_ = other.size_;
+  }
+  return *this;
+}
+
+void BlobPin::Release() {
+  if (store_ != nullptr) std::exchange(store_, nullptr)->Unpin(hash_);
+}
+
+BlobPin::~BlobPin() { Release(); }
+
+}  // namespace strata::server

@@ -1,0 +1,194 @@
+// Files named by the SHA-256 of their content: models as uploaded, results as computed.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <span>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include "core/result.h"
+#include "io/sha256.h"
+#include "server/store/data_folder.h"
+#include "server/store/database.h"
+#include "server/store/disk_budget.h"
+
+namespace strata::server {
+
+/// What a blob was first stored as; each kind has its part of the disk.
+enum class BlobKind : std::uint8_t { kModel, kResult };
+
+struct BlobLimits {
+  std::uint64_t model_bytes = std::uint64_t{64} << 30;   ///< Models and unfinished uploads.
+  std::uint64_t result_bytes = std::uint64_t{16} << 30;  ///< Results, cached or of jobs.
+  /// What new content leaves free on the disk, so that the database can still be written to.
+  std::uint64_t keep_free_bytes = std::uint64_t{64} << 20;
+};
+
+class BlobStore;
+
+/// Keeps a blob on disk while it lives, referred to by the database or not. A blob that nothing
+/// refers to goes with its last pin.
+///
+/// Threads: one at a time. Not destroyed while a Session lives in the same thread.
+class BlobPin {
+ public:
+  BlobPin() = default;
+  BlobPin(BlobPin&& other) noexcept;
+  BlobPin& operator=(BlobPin&& other) noexcept;
+  ~BlobPin();
+
+  const std::string& hash() const { return hash_; }
+  std::uint64_t size() const { return size_; }
+
+ private:
+  friend class BlobStore;
+  BlobPin(BlobStore* store, std::string hash, std::uint64_t size)
+      : store_(store), hash_(std::move(hash)), size_(size) {}
+  void Release();
+  BlobStore* store_ = nullptr;
+  std::string hash_;
+  std::uint64_t size_ = 0;
+};
+
+/// A blob open for reading. Threads: ReadAt any number at once.
+struct BlobReader {
+  BlobPin pin;
+  Fd fd;  ///< Of the whole content, read-only; a child process may inherit it.
+
+  std::uint64_t size() const { return pin.size(); }
+  /// Fills `out` from byte `offset`. Errors: kIo, the end included.
+  Result<void> ReadAt(std::uint64_t offset, std::span<char> out) const {
+    return ReadFileAt(fd.get(), offset, out, pin.hash());
+  }
+};
+
+/// A blob being written, hashed as it passes. Without Commit nothing stays. Threads: one at a time.
+class BlobWriter {
+ public:
+  BlobWriter(BlobWriter&&) noexcept = default;
+  ~BlobWriter();
+
+  /// Appends. Errors: kOverBudget before a byte beyond the limit is written; kInvalidArgument
+  /// beyond the size that was announced; kIo (full disk). After an error the writer is spent.
+  Result<void> Write(std::string_view bytes);
+  /// Makes the blob durable under its name, and pins it until the caller has stored what refers to
+  /// it. Errors: kInvalidArgument when fewer bytes came than were announced; kIo.
+  Result<BlobPin> Commit();
+  std::uint64_t size() const { return size_; }
+
+ private:
+  friend class BlobStore;
+  BlobWriter() = default;
+  Result<void> ReserveFor(std::uint64_t bytes);
+  void Discard();
+
+  BlobStore* store_ = nullptr;
+  BlobKind kind_ = BlobKind::kModel;
+  std::string name_;  // In incoming/.
+  Fd fd_;             // Moved from or spent: none.
+  io::Hasher hasher_;
+  DiskShare share_;
+  std::optional<std::uint64_t> announced_;
+  std::uint64_t size_ = 0;
+};
+
+/// What Open found and mended.
+struct BlobRecovery {
+  std::uint64_t orphan_files = 0;    ///< Files without a row, removed.
+  std::uint64_t unreferenced = 0;    ///< Rows that nothing referred to, removed with their files.
+  std::vector<std::string> damaged;  ///< Blobs whose file is missing or of another size: kept.
+};
+
+/// The blobs of a data folder.
+///
+/// A blob's file is whole and durable before its row is, and its row is gone before its file: after
+/// a crash at any point there is no row without its file, and a file without a row is removed by
+/// the next Open. Threads: any. Locks are taken in the order blobs, database, budget.
+class BlobStore {
+ public:
+  /// Removes what no row names and what nothing refers to. `folder` and `database` (migrated) must
+  /// outlive it. Errors: kIo, kCorruptInput.
+  static Result<std::unique_ptr<BlobStore>> Open(DataFolder& folder, Database& database,
+                                                 const BlobLimits& limits);
+
+  /// With `size` known, space is reserved at once: kOverBudget comes before anything is written.
+  Result<BlobWriter> NewBlob(BlobKind kind, std::optional<std::uint64_t> size = std::nullopt);
+  /// Takes the file `name` in incoming/, which another process has finished, as a blob. The file is
+  /// gone from incoming/ on return, also on errors. Errors: kNotFound, kOverBudget, kUnsupported
+  /// (no regular file), kIo.
+  Result<BlobPin> Import(const std::string& name, BlobKind kind);
+  /// Takes a durable file as a blob by a second (hard) link; `fd` is the same file, `hash` its
+  /// content's, `share` what it has reserved so far, kept if the blob is new.
+  struct Adoption {
+    const Fd& folder;
+    std::string name;
+    std::string hash;
+    std::uint64_t size;
+    BlobKind kind;
+  };
+  Result<BlobPin> Adopt(const Adoption& file, DiskShare& share);
+
+  /// Errors: kNotFound; kIo when the file is not there or of another size.
+  Result<BlobReader> OpenBlob(const std::string& hash);
+  /// Errors: kNotFound.
+  Result<BlobPin> Pin(const std::string& hash);
+  bool IsPinned(const std::string& hash) const;
+  /// Forgets `hash` if nothing refers to it and nothing pins it. To be called after a reference was
+  /// deleted. A failure to do so is mended by the next Open.
+  void Collect(const std::string& hash);
+  /// Collect for every blob: what a failure (a full disk) kept from being collected.
+  Result<void> CollectAll();
+
+  DiskBudget& budget(BlobKind kind) { return kind == BlobKind::kModel ? models_ : results_; }
+  /// Grows `share` by `bytes` of `kind`; asks the room maker when there is no room.
+  Result<void> Reserve(DiskShare& share, BlobKind kind, std::uint64_t bytes);
+  /// `make_room` is asked for bytes of results: it evicts, and says whether it did anything. Called
+  /// without locks. Set once, before the store is shared.
+  void SetRoomMaker(std::function<bool(std::uint64_t bytes)> make_room) {
+    make_room_ = std::move(make_room);
+  }
+  const BlobRecovery& recovery() const { return recovery_; }
+  /// The blob's path within the data folder, for messages and tests.
+  static std::string PathOf(const std::string& hash) {
+    return "blobs/" + hash.substr(0, 2) + "/" + hash.substr(2);
+  }
+
+ private:
+  friend class BlobPin;
+  friend class BlobWriter;
+  BlobStore(DataFolder& folder, Database& database, const BlobLimits& limits)
+      : folder_(folder),
+        database_(database),
+        keep_free_bytes_(limits.keep_free_bytes),
+        models_("models", limits.model_bytes),
+        results_("results", limits.result_bytes) {}
+
+  Result<void> Recover();
+  Result<void> SweepFolder(const std::string& prefix, const std::set<std::string>& known);
+  Result<bool> Knows(const std::string& hash);
+  bool HasFile(const std::string& hash, std::uint64_t size) const;
+  Result<void> CheckFreeSpace(std::uint64_t bytes) const;
+  Result<void> Link(const Adoption& file);
+  Result<void> Insert(const Adoption& file, DiskShare& share);
+  Result<BlobPin> PinLocked(const std::string& hash, std::uint64_t size);
+  void Unpin(const std::string& hash);
+  void CollectLocked(const std::string& hash);
+
+  DataFolder& folder_;
+  Database& database_;
+  std::uint64_t keep_free_bytes_;
+  DiskBudget models_, results_;
+  std::function<bool(std::uint64_t)> make_room_;
+  BlobRecovery recovery_;
+  mutable std::mutex mutex_;  // Guards pins_, and the order of files and rows.
+  std::unordered_map<std::string, std::uint64_t> pins_;
+};
+
+}  // namespace strata::server

@@ -1,0 +1,46 @@
+// The folder that a service keeps its state in (--data DIR), owned by one process at a time.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "core/result.h"
+#include "server/store/file.h"
+
+namespace strata::server {
+
+/// What lies in it:
+///
+///     lock        flock'ed by the process that owns the folder
+///     strata.db   SQLite, with its -wal and -shm
+///     blobs/ab/…  files named by the SHA-256 of their content: 2 digits, then 62
+///     incoming/   files being written; emptied at the start
+///     uploads/ID  the bytes of unfinished resumable uploads
+///
+/// Threads: any; nothing changes after Open.
+class DataFolder {
+ public:
+  /// Makes what is missing (mode 0700), takes the lock, empties incoming/.
+  /// Errors: kConflict when a living process has the lock; kIo.
+  static Result<std::unique_ptr<DataFolder>> Open(const std::string& path);
+
+  const std::string& path() const { return path_; }
+  std::string database_path() const { return path_ + "/strata.db"; }
+  /// Where a program that writes a file by name (a sampling process) may put it; see
+  /// BlobStore::Import.
+  std::string incoming_path() const { return path_ + "/incoming"; }
+  const Fd& root() const { return root_; }
+  const Fd& blobs() const { return blobs_; }
+  const Fd& incoming() const { return incoming_; }
+  const Fd& uploads() const { return uploads_; }
+
+ private:
+  DataFolder() = default;
+  Result<void> Lock();
+  Result<void> OpenInner();
+
+  std::string path_;
+  Fd root_, lock_, blobs_, incoming_, uploads_;
+};
+
+}  // namespace strata::server

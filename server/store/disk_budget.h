@@ -1,0 +1,67 @@
+// How much disk a kind of file may take.
+#pragma once
+
+#include <cstdint>
+#include <mutex>
+#include <string>
+#include <utility>
+
+#include "core/result.h"
+
+namespace strata::server {
+
+class DiskBudget;
+
+/// Bytes taken from a budget, given back with their owner. Threads: one at a time.
+class DiskShare {
+ public:
+  DiskShare() = default;
+  DiskShare(DiskShare&& other) noexcept
+      : budget_(std::exchange(other.budget_, nullptr)), bytes_(std::exchange(other.bytes_, 0)) {}
+  DiskShare& operator=(DiskShare&& other) noexcept;
+  ~DiskShare();
+
+  std::uint64_t bytes() const { return bytes_; }
+  /// Takes `bytes` more; false, and nothing taken, when the budget does not have them.
+  bool Grow(std::uint64_t bytes);
+  /// Leaves `bytes` of the share taken for good and gives the rest back.
+  /// Precondition: bytes <= bytes().
+  void Keep(std::uint64_t bytes);
+
+ private:
+  friend class DiskBudget;
+  explicit DiskShare(DiskBudget* budget) : budget_(budget) {}
+  DiskBudget* budget_ = nullptr;
+  std::uint64_t bytes_ = 0;
+};
+
+/// Counts bytes against a limit. Outlives its shares. Threads: any.
+class DiskBudget {
+ public:
+  /// `what` is for messages: "models".
+  DiskBudget(std::string what, std::uint64_t limit_bytes)
+      : what_(std::move(what)), limit_(limit_bytes) {}
+
+  /// An empty share, to be grown.
+  DiskShare NewShare() { return DiskShare(this); }
+  /// Counts what is on the disk already, over the limit too.
+  void Add(std::uint64_t bytes);
+  /// Gives back what was kept or added.
+  void Remove(std::uint64_t bytes);
+
+  std::uint64_t used() const;
+  std::uint64_t limit() const { return limit_; }
+  /// kOverBudget: how much was wanted, how much is left.
+  tl::unexpected<Error> FailOver(std::uint64_t wanted) const;
+
+ private:
+  friend class DiskShare;
+  bool Take(std::uint64_t bytes);
+
+  std::string what_;
+  std::uint64_t limit_;
+  mutable std::mutex mutex_;
+  std::uint64_t used_ = 0;
+};
+
+}  // namespace strata::server
