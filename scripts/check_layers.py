@@ -34,7 +34,8 @@ LIBRARIES = {
     'png.h': {'io'},
     'zlib.h': {'io'},
     'zstd.h': {'core', 'io'},
-    'sqlite3.h': {'server'},  # In server/store alone.
+    'linux/openat2.h': {'server'},
+    'sqlite3.h': {'server'},
     'utf8cpp/': {'server'},
     'CLI/': {'server'},
     'nlohmann/': {'io', 'server'},

@@ -14,8 +14,7 @@
 namespace strata::server {
 namespace {
 
-// Of a blob whose size is not known, space is reserved in such steps.
-constexpr std::uint64_t kReserveStep = 1 << 20;
+constexpr std::uint64_t kReserveStepBytes = 1 << 20;
 
 std::string InnerPath(const std::string& hash) { return hash.substr(0, 2) + "/" + hash.substr(2); }
 
@@ -83,6 +82,11 @@ Result<void> BlobStore::Reserve(DiskShare& share, BlobKind kind, std::uint64_t b
   return {};
 }
 
+Result<void> BlobStore::ReserveStep(DiskShare& share, BlobKind kind, std::uint64_t bytes) {
+  if (bytes < kReserveStepBytes && share.Grow(kReserveStepBytes)) return {};
+  return Reserve(share, kind, bytes);  // Near the limit a whole step may be too much.
+}
+
 Result<void> BlobStore::CheckFreeSpace(std::uint64_t bytes) const {
   struct statvfs disk;
   if (fstatvfs(folder_.blobs().get(), &disk) != 0) return {};  // The write itself will tell.
@@ -118,22 +122,19 @@ void BlobWriter::Discard() {
   fd_ = Fd();
 }
 
-Result<void> BlobWriter::ReserveFor(std::uint64_t bytes) {
+Result<void> BlobWriter::MakeRoom(std::uint64_t bytes) {
   if (announced_ && bytes > *announced_ - size_) {
     return Fail(ErrorCode::kInvalidArgument,
                 "byte " + std::to_string(size_) + ": " + std::to_string(bytes) +
                     " bytes more found, the announced size is " + std::to_string(*announced_));
   }
   if (size_ + bytes <= share_.bytes()) return {};
-  const std::uint64_t missing = size_ + bytes - share_.bytes();
-  // Near the limit a whole step may be too much.
-  auto reserved = store_->Reserve(share_, kind_, std::max(missing, kReserveStep));
-  return reserved ? reserved : store_->Reserve(share_, kind_, missing);
+  return store_->ReserveStep(share_, kind_, size_ + bytes - share_.bytes());
 }
 
 Result<void> BlobWriter::Write(std::string_view bytes) {
   if (!fd_) return Fail(ErrorCode::kInternal, name_ + ": written after its end");
-  auto written = ReserveFor(bytes.size());
+  auto written = MakeRoom(bytes.size());
   if (written) {
     if (const int error = io::WriteAll(fd_.get(), bytes, size_); error != 0) {
       written = FailSystem("incoming/" + name_,

@@ -86,7 +86,7 @@ class BlobWriter {
  private:
   friend class BlobStore;
   BlobWriter() = default;
-  Result<void> ReserveFor(std::uint64_t bytes);
+  Result<void> MakeRoom(std::uint64_t bytes);
   void Discard();
 
   BlobStore* store_ = nullptr;
@@ -149,6 +149,9 @@ class BlobStore {
   DiskBudget& budget(BlobKind kind) { return kind == BlobKind::kModel ? models_ : results_; }
   /// Grows `share` by `bytes` of `kind`; asks the room maker when there is no room.
   Result<void> Reserve(DiskShare& share, BlobKind kind, std::uint64_t bytes);
+  /// The same in steps of at least 1 MiB where the budget has that much: for bytes that come little
+  /// by little, their number unknown.
+  Result<void> ReserveStep(DiskShare& share, BlobKind kind, std::uint64_t bytes);
   /// `make_room` is asked for bytes of results: it evicts, and says whether it did anything. Called
   /// without locks. Set once, before the store is shared.
   void SetRoomMaker(std::function<bool(std::uint64_t bytes)> make_room) {

@@ -35,6 +35,13 @@ bool DiskBudget::Take(std::uint64_t bytes) {
   return true;
 }
 
+DiskShare DiskBudget::TakeAnyway(std::uint64_t bytes) {
+  Add(bytes);
+  DiskShare share(this);
+  share.bytes_ = bytes;
+  return share;
+}
+
 void DiskBudget::Add(std::uint64_t bytes) {
   const std::lock_guard lock(mutex_);
   used_ += bytes;

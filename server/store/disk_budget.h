@@ -44,6 +44,8 @@ class DiskBudget {
 
   /// An empty share, to be grown.
   DiskShare NewShare() { return DiskShare(this); }
+  /// A share of what is on the disk already, over the limit too.
+  DiskShare TakeAnyway(std::uint64_t bytes);
   /// Counts what is on the disk already, over the limit too.
   void Add(std::uint64_t bytes);
   /// Gives back what was kept or added.

@@ -1,0 +1,61 @@
+#include "server/store/job_events.h"
+
+#include <utility>
+
+namespace strata::server {
+
+std::optional<JobEvent> JobSubscription::Next(Milliseconds timeout) {
+  std::unique_lock lock(mutex_);
+  came_.wait_for(lock, timeout, [this] { return ended_ || !waiting_.empty(); });
+  if (waiting_.empty()) return std::nullopt;
+  JobEvent event = std::move(waiting_.front());
+  waiting_.pop_front();
+  ended_ = IsFinished(event.state);
+  return event;
+}
+
+bool JobSubscription::ended() const {
+  const std::lock_guard lock(mutex_);
+  return ended_;
+}
+
+void JobSubscription::Push(const JobEvent& event) {
+  {
+    const std::lock_guard lock(mutex_);
+    const bool full = waiting_.size() >= kMaxWaiting;
+    if (full && waiting_.back().state == event.state) waiting_.pop_back();
+    waiting_.push_back(event);
+  }
+  came_.notify_all();
+  if (on_event_) on_event_();
+}
+
+std::shared_ptr<JobSubscription> JobEvents::Subscribe(const std::string& id,
+                                                      std::function<void()> on_event,
+                                                      const std::optional<JobEvent>& first) {
+  auto subscription = std::make_shared<JobSubscription>(std::move(on_event));
+  if (first) subscription->Push(*first);
+  const std::lock_guard lock(mutex_);
+  auto& of_job = followers_[id];
+  std::erase_if(of_job, [](const auto& follower) { return follower.expired(); });
+  if (!first || !IsFinished(first->state)) of_job.push_back(subscription);
+  if (of_job.empty()) followers_.erase(id);
+  return subscription;
+}
+
+void JobEvents::Publish(const std::string& id, const JobEvent& event) {
+  std::vector<std::shared_ptr<JobSubscription>> told;
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = followers_.find(id);
+    if (found == followers_.end()) return;
+    std::erase_if(found->second, [](const auto& follower) { return follower.expired(); });
+    for (const auto& follower : found->second) {
+      if (auto living = follower.lock()) told.push_back(std::move(living));
+    }
+    if (IsFinished(event.state) || told.empty()) followers_.erase(found);
+  }
+  for (const auto& follower : told) follower->Push(event);
+}
+
+}  // namespace strata::server

@@ -1,0 +1,139 @@
+// Results by what they were computed from: a repeated request is answered without sampling again.
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include "core/result.h"
+#include "server/store/blob_store.h"
+#include "server/store/clock.h"
+#include "server/store/database.h"
+
+namespace strata::server {
+
+/// What decides a result's bytes (promise 3).
+struct ResultKeyParts {
+  std::string model_hash;  ///< SHA-256 of the mesh file.
+  std::string options;  ///< Canonical: every option that decides the output, its format included.
+  std::uint64_t seed = 0;
+  std::string version;  ///< Of Strata.
+};
+
+/// 64 hex digits: SHA-256 over the parts, none of which can run into another.
+std::string ResultKey(const ResultKeyParts& parts);
+
+struct CachedResult {
+  BlobReader content;  ///< Not evicted while open. The blob's hash is the strong ETag.
+  std::string media_type;
+  std::string summary;  ///< Opaque here.
+  Timestamp created;
+};
+
+/// Somebody else's computation of a result, to be waited for. Threads: any.
+class ResultWait {
+ public:
+  /// Waits up to `timeout` for the end of the computation; whether it has ended. If so and there is
+  /// no error(), enter again: the result is there, or whoever led has given up.
+  bool Wait(Milliseconds timeout);
+  /// Why there will be no result: what the leader said. Set once Wait has returned true.
+  std::optional<Error> error() const;
+
+ private:
+  friend class ResultCache;
+  mutable std::mutex mutex_;
+  std::condition_variable ended_came_;
+  bool ended_ = false;
+  std::optional<Error> error_;
+};
+
+class ResultCache;
+
+/// The duty to compute a result, while others wait. Destroyed without an answer it passes to one of
+/// those who wait. Threads: one at a time. Must not outlive the cache.
+class ResultLead {
+ public:
+  ResultLead(ResultLead&& other) noexcept;
+  ~ResultLead();
+
+  /// Stores the result and wakes who waits. Errors: kIo; they are then told of it as well.
+  Result<void> Publish(const BlobPin& blob, const std::string& media_type,
+                       const std::string& summary);
+  /// Tells who waits that it would fail for them too (a corrupt mesh, say).
+  void MarkFailed(const Error& error);
+
+ private:
+  friend class ResultCache;
+  ResultLead(ResultCache* cache, std::string key) : cache_(cache), key_(std::move(key)) {}
+  ResultCache* cache_;  // Null: answered or moved from.
+  std::string key_;
+};
+
+/// What Enter found: exactly one of the three.
+struct CacheAnswer {
+  std::optional<CachedResult> hit;
+  std::optional<ResultLead> lead;
+  std::shared_ptr<ResultWait> wait;
+};
+
+struct CacheCounts {
+  std::uint64_t hits = 0, misses = 0, waits = 0, evictions = 0;
+};
+
+/// The result cache. It takes what disk the budget for results has; when space is wanted the least
+/// recently used results go, except for what is open or belongs to a job. Threads: any.
+class ResultCache {
+ public:
+  struct Parts {
+    Database& database;
+    BlobStore& blobs;  ///< Is told to ask this cache for room.
+    const Clock& clock;
+  };
+  static Result<std::unique_ptr<ResultCache>> Open(const Parts& parts);
+  ~ResultCache();
+
+  /// The result, if there is one. Errors: kIo.
+  Result<std::optional<CachedResult>> Lookup(const std::string& key);
+  /// The result; or else the duty to compute it; or else who does. One leads at a time.
+  /// Errors: kIo.
+  Result<CacheAnswer> Enter(const std::string& key);
+
+  /// Evicts until `bytes` have been given back, as far as that is possible. Whether anything was
+  /// evicted. Blobs' own locks are taken: call without them.
+  bool Evict(std::uint64_t bytes);
+  /// Forgets a result. Errors: kIo.
+  Result<void> Remove(const std::string& key);
+  /// Writes down what was used when; a crash before makes the order of eviction older, no more.
+  Result<void> Flush();
+  CacheCounts counts() const { return {hits_, misses_, waits_, evictions_}; }
+
+ private:
+  friend class ResultLead;
+  struct Candidate {
+    std::string key, blob;
+    std::uint64_t size;
+  };
+  explicit ResultCache(const Parts& parts) : parts_(parts) {}
+  Result<void> Store(const std::string& key, const BlobPin& blob, const std::string& media_type,
+                     const std::string& summary);
+  Result<std::vector<Candidate>> Candidates();
+  void EndFlight(const std::string& key, const std::optional<Error>& error);
+  void Touch(const std::string& key);
+  std::int64_t NextUse();
+
+  Parts parts_;
+  std::atomic<std::uint64_t> hits_{0}, misses_{0}, waits_{0}, evictions_{0};
+  std::mutex flights_mutex_;  // Taken before the locks of blobs and database.
+  std::unordered_map<std::string, std::shared_ptr<ResultWait>> flights_;
+  std::mutex uses_mutex_;
+  std::int64_t last_use_ = 0;                           // Counts uses: finer than any clock.
+  std::unordered_map<std::string, std::int64_t> uses_;  // Not in the database yet.
+};
+
+}  // namespace strata::server

@@ -1,0 +1,72 @@
+// All that a service keeps, opened together.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "core/result.h"
+#include "server/store/blob_store.h"
+#include "server/store/clock.h"
+#include "server/store/data_folder.h"
+#include "server/store/database.h"
+#include "server/store/job_store.h"
+#include "server/store/model_repository.h"
+#include "server/store/model_store.h"
+#include "server/store/result_cache.h"
+#include "server/store/upload_store.h"
+
+namespace strata::server {
+
+struct StoreOptions {
+  std::string data;    ///< --data DIR: made if it is missing.
+  std::string models;  ///< --models DIR: read-only; "" for none.
+  BlobLimits blobs;
+  UploadLimits uploads;
+  JobLimits jobs;
+  /// Finished jobs are forgotten after that time.
+  Milliseconds job_retention = std::chrono::hours(24 * 7);
+};
+
+/// The stores of one data folder. Threads: any. Nothing that came from it may outlive it: pins,
+/// readers, writers, appends, leads.
+class Store {
+ public:
+  /// Opens or makes the folder, brings the database up to date and mends what a crash left; jobs
+  /// that were running are queued again. Takes as long as reading complete uploads that were not
+  /// yet stored. `clock` must outlive the store. Errors: kConflict when another process has the
+  /// folder; kUnsupported when a newer Strata wrote it; kNotFound (the models' folder);
+  /// kCorruptInput (the database), kIo.
+  static Result<std::unique_ptr<Store>> Open(const StoreOptions& options, const Clock& clock);
+
+  DataFolder& folder() { return *folder_; }
+  Database& database() { return *database_; }
+  BlobStore& blobs() { return *blobs_; }
+  ModelStore& models() { return *models_; }
+  UploadStore& uploads() { return *uploads_; }
+  JobStore& jobs() { return *jobs_; }
+  ResultCache& results() { return *results_; }
+
+  /// What time brings: expired uploads and old jobs go, jobs whose lease has run out are queued
+  /// again, what a full disk kept from being collected is collected. To be called every few
+  /// seconds. Errors: kIo; the rest is done all the same.
+  Result<void> Maintain();
+
+ private:
+  Store(const StoreOptions& options, const Clock& clock) : options_(options), clock_(clock) {}
+  Result<void> OpenFiles();
+  Result<void> OpenStores();
+
+  StoreOptions options_;
+  const Clock& clock_;
+  // In the order of their use: each goes before what it uses.
+  std::unique_ptr<DataFolder> folder_;
+  std::unique_ptr<Database> database_;
+  std::unique_ptr<BlobStore> blobs_;
+  std::unique_ptr<ModelRepository> repository_;
+  std::unique_ptr<ModelStore> models_;
+  std::unique_ptr<UploadStore> uploads_;
+  std::unique_ptr<JobStore> jobs_;
+  std::unique_ptr<ResultCache> results_;
+};
+
+}  // namespace strata::server
