@@ -111,7 +111,7 @@ Result<CacheAnswer> ResultCache::Enter(const std::string& key) {
   }
   ++misses_;
   flight = std::make_shared<ResultWait>();
-  answer.lead = ResultLead(this, key);
+  answer.lead.emplace(ResultLead(this, key));
   return answer;
 }
 

@@ -1,0 +1,107 @@
+// What the tests of the stores share: a data folder, a clock that they move, contents.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "io/sha256.h"
+#include "server/store/store.h"
+#include "tests/support/temp_folder.h"
+
+namespace strata::server {
+
+/// Stands still unless moved. Threads: any.
+class ManualClock final : public Clock {
+ public:
+  Timestamp Now() const override { return FromMillis(millis_); }
+  void Advance(Milliseconds by) { millis_ += by.count(); }
+
+ private:
+  std::atomic<std::int64_t> millis_{1'700'000'000'000};
+};
+
+template <class T>
+std::string Why(const Result<T>& result) {
+  return result ? "no error" : result.error().message;
+}
+
+#define ASSERT_OK(result) ASSERT_TRUE(result) << Why(result)
+#define EXPECT_OK(result) EXPECT_TRUE(result) << Why(result)
+/// That `result` is an error of this code; the message is shown if it is another.
+#define EXPECT_FAILS(error_code, result)                       \
+  do {                                                         \
+    const auto& failed_ = (result);                            \
+    ASSERT_FALSE(failed_) << "no error";                       \
+    EXPECT_EQ(failed_.error().code, error_code) << Why(failed_); \
+  } while (false)
+
+inline std::string HashOf(const std::string& bytes) { return io::Sha256Hex(bytes); }
+
+/// `size` bytes, other ones for another seed.
+inline std::string Bytes(std::size_t size, std::uint64_t seed) {
+  std::mt19937_64 random(seed);
+  std::string bytes(size, 0);
+  for (char& c : bytes) c = static_cast<char>(random());
+  return bytes;
+}
+
+/// A store in a folder of its own.
+class StoreTest : public testing::Test {
+ protected:
+  StoreTest() {
+    options.data = folder / "data";
+    options.blobs.keep_free_bytes = 0;
+  }
+
+  void Open() {
+    store.reset();
+    auto opened = Store::Open(options, clock);
+    ASSERT_OK(opened);
+    store = std::move(*opened);
+  }
+  void SetUp() override { Open(); }
+
+  Result<BlobPin> NewBlob(const std::string& bytes, BlobKind kind = BlobKind::kModel) {
+    auto writer = store->blobs().NewBlob(kind, bytes.size());
+    if (!writer) return Forward(writer);
+    if (auto written = writer->Write(bytes); !written) return Forward(written);
+    return writer->Commit();
+  }
+  Result<PutModel> Put(const std::string& name, const std::string& bytes,
+                       const ModelCondition& condition = {}) {
+    auto blob = NewBlob(bytes);
+    if (!blob) return Forward(blob);
+    return store->models().Put(name, *blob, condition);
+  }
+  Result<std::string> ReadModel(const std::string& name) {
+    auto model = store->models().Open(name);
+    if (!model) return Forward(model);
+    std::string bytes(model->info.size, 0);
+    if (auto read = ReadFileAt(model->fd.get(), 0, bytes, name); !read) return Forward(read);
+    return bytes;
+  }
+  /// Paths of the files below a folder of the data folder, sorted.
+  std::vector<std::string> Files(const std::string& inner) const {
+    std::vector<std::string> files;
+    const std::filesystem::path root = options.data;
+    for (const auto& entry : std::filesystem::recursive_directory_iterator(root / inner)) {
+      if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(root).string());
+    }
+    std::sort(files.begin(), files.end());
+    return files;
+  }
+
+  test::TempFolder folder;
+  ManualClock clock;
+  StoreOptions options;
+  std::unique_ptr<Store> store;
+};
+
+}  // namespace strata::server
