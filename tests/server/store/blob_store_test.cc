@@ -130,8 +130,8 @@ TEST_F(BlobStoreTest, OpenRemovesWhatNoRowNamesAndKeepsTheRest) {
   test::WriteFile(options.data + "/" + orphan, "orphan");
   test::WriteFile(options.data + "/incoming/left", "left");
   test::WriteFile(options.data + "/uploads/stranger", "left");
-  ASSERT_OK(store->database().Read().Run(
-      "INSERT INTO blobs (hash, size, kind) VALUES (?, 6, 0)", HashOf("orphan")));
+  ASSERT_OK(store->database().Read().Run("INSERT INTO blobs (hash, size, kind) VALUES (?, 6, 0)",
+                                         HashOf("orphan")));
   Open();
   EXPECT_EQ(Files("blobs"), Names{BlobStore::PathOf(HashOf("kept"))});
   EXPECT_EQ(Files("incoming"), Names{});
@@ -157,7 +157,7 @@ TEST_F(BlobStoreTest, DamageFromOutsideIsFoundNamedAndHealedByTheSameContent) {
     EXPECT_NE(opened.error().message.find(BlobStore::PathOf(HashOf("content"))), std::string::npos)
         << Why(opened);
     ASSERT_OK(Put("cut", "content"));
-    EXPECT_EQ(*ReadModel("cut"), "content");
+    EXPECT_EQ(ReadModel("cut"), "content");
   }
 }
 

@@ -35,10 +35,10 @@ std::string Why(const Result<T>& result) {
 #define ASSERT_OK(result) ASSERT_TRUE(result) << Why(result)
 #define EXPECT_OK(result) EXPECT_TRUE(result) << Why(result)
 /// That `result` is an error of this code; the message is shown if it is another.
-#define EXPECT_FAILS(error_code, result)                       \
-  do {                                                         \
-    const auto& failed_ = (result);                            \
-    ASSERT_FALSE(failed_) << "no error";                       \
+#define EXPECT_FAILS(error_code, result)                         \
+  do {                                                           \
+    const auto& failed_ = (result);                              \
+    ASSERT_FALSE(failed_) << "no error";                         \
     EXPECT_EQ(failed_.error().code, error_code) << Why(failed_); \
   } while (false)
 
@@ -80,12 +80,13 @@ class StoreTest : public testing::Test {
     if (!blob) return Forward(blob);
     return store->models().Put(name, *blob, condition);
   }
-  Result<std::string> ReadModel(const std::string& name) {
-    auto model = store->models().Open(name);
-    if (!model) return Forward(model);
+  /// A model's content, or "error: " and why there is none.
+  std::string ReadModel(const std::string& name) {
+    const auto model = store->models().Open(name);
+    if (!model) return "error: " + Why(model);
     std::string bytes(model->info.size, 0);
-    if (auto read = ReadFileAt(model->fd.get(), 0, bytes, name); !read) return Forward(read);
-    return bytes;
+    const auto read = ReadFileAt(model->fd.get(), 0, bytes, name);
+    return read ? bytes : "error: " + Why(read);
   }
   /// Paths of the files below a folder of the data folder, sorted.
   std::vector<std::string> Files(const std::string& inner) const {
