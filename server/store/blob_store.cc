@@ -120,6 +120,7 @@ void BlobWriter::Discard() {
   if (!fd_) return;
   unlinkat(store_->folder_.incoming().get(), name_.c_str(), 0);
   fd_ = Fd();
+  share_ = DiskShare();
 }
 
 Result<void> BlobWriter::MakeRoom(std::uint64_t bytes) {

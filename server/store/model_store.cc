@@ -82,10 +82,14 @@ Result<std::optional<ModelInfo>> ModelStore::Find(Session& session, const std::s
   return info;
 }
 
+Result<std::optional<ModelInfo>> ModelStore::FindNow(const std::string& name) const {
+  Session session = database_.Read();
+  return Find(session, name);
+}
+
 Result<void> ModelStore::CheckWritable(const std::string& name) const {
   if (auto valid = CheckModelName(name); !valid) return valid;
-  Session session = database_.Read();
-  const auto stored = Find(session, name);
+  const auto stored = FindNow(name);
   if (!stored) return Forward(stored);
   if (!*stored && repository_ != nullptr && repository_->OpenFile(name)) return FailReadOnly(name);
   return {};
@@ -149,10 +153,7 @@ Result<OpenModel> ModelStore::Open(const std::string& name) {
   if (auto valid = CheckModelName(name); !valid) return Forward(valid);
   // The content may be replaced and collected between the two steps; then there is newer content.
   for (int attempt = 0; attempt < 100; ++attempt) {
-    auto stored = [&] {
-      Session session = database_.Read();
-      return Find(session, name);
-    }();
+    const auto stored = FindNow(name);
     if (!stored) return Forward(stored);
     if (!*stored) return OpenFile(name);
     auto content = blobs_.OpenBlob((*stored)->hash);

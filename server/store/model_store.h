@@ -93,6 +93,7 @@ class ModelStore {
 
  private:
   Result<std::optional<ModelInfo>> Find(Session& session, const std::string& name) const;
+  Result<std::optional<ModelInfo>> FindNow(const std::string& name) const;
   Result<OpenModel> OpenFile(const std::string& name);
   Result<std::string> HashOf(const std::string& name, const RepositoryFile& file);
   std::optional<std::string> KnownHash(const std::string& name, const std::string& fingerprint);
