@@ -34,7 +34,6 @@ LIBRARIES = {
     'png.h': {'io'},
     'zlib.h': {'io'},
     'zstd.h': {'core', 'io'},
-    'linux/openat2.h': {'server'},
     'sqlite3.h': {'server'},
     'utf8cpp/': {'server'},
     'CLI/': {'server'},
@@ -46,8 +45,13 @@ LIBRARIES = {
 }
 ONLY_IN_SOURCES = {'draco/', 'openvdb/'}  # Never in a header, where it would spread.
 ONE_FILE = {'openvdb/'}  # In one source file of the whole tree.
+ONE_FOLDER = {'sqlite3.h': 'server/store'}  # In this folder alone.
+# The stores serve every transport, so they know none, and no wire format.
+STORE = 'server/store'
+STORE_MAY_INCLUDE = ('core/', 'io/', 'server/store/')
+STORE_MAY_NOT_USE = ('CLI/', 'nlohmann/', 'spdlog/', 'grpcpp/', 'google/', 'boost/')
 STANDARD = re.compile(r'^[a-z0-9_]+$')
-POSIX = re.compile(r'^((sys|net|netinet|arpa)/)?[a-z0-9_]+\.h$')
+POSIX = re.compile(r'^((sys|net|netinet|arpa|linux)/)?[a-z0-9_]+\.h$')
 MAY_USE_POSIX = {'io', 'server'}
 # Beyond those layers: what keeps runs on disk (ADR 9), and what gives freed memory back.
 POSIX_FILES = {'scratch.cc', 'memory_account.cc'}
@@ -84,11 +88,26 @@ def fault(layer, path, target, quoted):
     return f'{layer}/ has no leave to use it; see LIBRARIES in scripts/check_layers.py'
 
 
+def folder_fault(folder, target, quoted):
+    """What the folder of a file has against one include, or None."""
+    for prefix, place in ONE_FOLDER.items():
+        if target.startswith(prefix) and folder != place:
+            return f'{prefix} belongs to {place}/'
+    if folder != STORE:
+        return None
+    if quoted and not target.startswith(STORE_MAY_INCLUDE):
+        return f'{STORE}/ may include only {", ".join(STORE_MAY_INCLUDE)}'
+    if not quoted and target.startswith(STORE_MAY_NOT_USE):
+        return f'{STORE}/ knows no transport and no wire format'
+    return None
+
+
 def violations(root):
     found, users = [], {}
     for layer, path, number, quoted, target in includes(root):
         place = f'{path.relative_to(root)}:{number}: {target}'
-        problem = fault(layer, path, target, quoted)
+        folder = str(path.parent.relative_to(root))
+        problem = fault(layer, path, target, quoted) or folder_fault(folder, target, quoted)
         if problem:
             found.append(f'{place}: {problem}')
         for prefix in ONE_FILE:
@@ -121,13 +140,16 @@ def self_test():
         'io/tests.cc': '#include "tests/support/helper.h"\n',
         'server/mesh.cc': '#include <draco/mesh/mesh.h>\n',
         'proto/up.h': '#include "server/a.h"\n',
+        'server/rows.cc': '#include <sqlite3.h>\n',
+        'server/store/up.cc': '#include "server/exit_codes.h"\n',
+        'server/store/wire.h': '#include <nlohmann/json.hpp>\n',
     }
 
     def run(files):
         with tempfile.TemporaryDirectory() as folder:
             root = pathlib.Path(folder)
             for name, text in files.items():
-                (root / name).parent.mkdir(exist_ok=True)
+                (root / name).parent.mkdir(parents=True, exist_ok=True)
                 (root / name).write_text(text)
             return violations(root)
 

@@ -60,12 +60,4 @@ struct Job {
   std::optional<JobResult> result;  ///< If succeeded.
 };
 
-/// A change of a job, as its followers see it.
-struct JobEvent {
-  std::uint64_t sequence = 0;  ///< Of one job: grows from event to event, gaps included.
-  JobState state = JobState::kQueued;
-  JobProgress progress;
-  std::int64_t attempts = 0;
-};
-
 }  // namespace strata::server

@@ -4,13 +4,13 @@
 
 namespace strata::server {
 
-std::optional<JobEvent> JobSubscription::Next(Milliseconds timeout) {
+JobEvent JobSubscription::Next(Milliseconds timeout) {
   std::unique_lock lock(mutex_);
   came_.wait_for(lock, timeout, [this] { return ended_ || !waiting_.empty(); });
-  if (waiting_.empty()) return std::nullopt;
+  if (waiting_.empty()) return nullptr;
   JobEvent event = std::move(waiting_.front());
   waiting_.pop_front();
-  ended_ = IsFinished(event.state);
+  ended_ = IsFinished(event->state);
   return event;
 }
 
@@ -23,7 +23,7 @@ void JobSubscription::Push(const JobEvent& event) {
   {
     const std::lock_guard lock(mutex_);
     const bool full = waiting_.size() >= kMaxWaiting;
-    if (full && waiting_.back().state == event.state) waiting_.pop_back();
+    if (full && waiting_.back()->state == event->state) waiting_.pop_back();
     waiting_.push_back(event);
   }
   came_.notify_all();
@@ -32,9 +32,9 @@ void JobSubscription::Push(const JobEvent& event) {
 
 std::shared_ptr<JobSubscription> JobEvents::Subscribe(const std::string& id,
                                                       std::function<void()> on_event,
-                                                      const std::optional<JobEvent>& first) {
+                                                      const JobEvent& first) {
   auto subscription = std::make_shared<JobSubscription>(std::move(on_event));
-  if (first) subscription->Push(*first);
+  if (first) subscription->Push(first);
   const std::lock_guard lock(mutex_);
   auto& of_job = followers_[id];
   std::erase_if(of_job, [](const auto& follower) { return follower.expired(); });
@@ -43,17 +43,17 @@ std::shared_ptr<JobSubscription> JobEvents::Subscribe(const std::string& id,
   return subscription;
 }
 
-void JobEvents::Publish(const std::string& id, const JobEvent& event) {
+void JobEvents::Publish(const JobEvent& event) {
   std::vector<std::shared_ptr<JobSubscription>> told;
   {
     const std::lock_guard lock(mutex_);
-    const auto found = followers_.find(id);
+    const auto found = followers_.find(event->id);
     if (found == followers_.end()) return;
     std::erase_if(found->second, [](const auto& follower) { return follower.expired(); });
     for (const auto& follower : found->second) {
       if (auto living = follower.lock()) told.push_back(std::move(living));
     }
-    if (IsFinished(event.state) || told.empty()) followers_.erase(found);
+    if (IsFinished(event->state) || told.empty()) followers_.erase(found);
   }
   for (const auto& follower : told) follower->Push(event);
 }

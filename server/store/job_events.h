@@ -7,7 +7,6 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <string>
 #include <unordered_map>
 #include <vector>
@@ -15,6 +14,9 @@
 #include "server/store/job.h"
 
 namespace strata::server {
+
+/// A job as a change has left it; `sequence` orders them. Null: none.
+using JobEvent = std::shared_ptr<const Job>;
 
 /// One follower of one job. Threads: any.
 class JobSubscription {
@@ -28,7 +30,7 @@ class JobSubscription {
 
   /// The next event, waiting for it up to `timeout` (0: not at all). Nothing when none came, or
   /// when the last one has been given out: see ended.
-  std::optional<JobEvent> Next(Milliseconds timeout);
+  JobEvent Next(Milliseconds timeout);
   /// Whether the event that finished the job was given out.
   bool ended() const;
 
@@ -46,10 +48,10 @@ class JobSubscription {
 /// The followers of all jobs. Threads: any; who publishes keeps the order of a job's events.
 class JobEvents {
  public:
-  /// Events from the next Publish on; `first`, if given, comes before them.
+  /// Events from the next Publish on; `first`, unless null, comes before them.
   std::shared_ptr<JobSubscription> Subscribe(const std::string& id, std::function<void()> on_event,
-                                             const std::optional<JobEvent>& first);
-  void Publish(const std::string& id, const JobEvent& event);
+                                             const JobEvent& first);
+  void Publish(const JobEvent& event);
 
  private:
   std::mutex mutex_;

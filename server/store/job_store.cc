@@ -1,5 +1,8 @@
 #include "server/store/job_store.h"
 
+#include <algorithm>
+#include <chrono>
+
 #include "server/store/job_rows.h"
 #include "server/store/page_token.h"
 
@@ -9,8 +12,6 @@ namespace {
 constexpr char kTokenKind = 'j';
 constexpr std::size_t kMaxOptionsBytes = 64 << 10;
 constexpr std::size_t kMaxKeyBytes = 255;
-
-JobEvent EventOf(const Job& job) { return {job.sequence, job.state, job.progress, job.attempts}; }
 
 tl::unexpected<Error> FailMissing() {
   return Fail(ErrorCode::kNotFound, "job: there is none of this name");
@@ -174,7 +175,7 @@ Result<Job> JobStore::ApplyLocked(const std::string& id, const Change& change) {
     if (auto committed = session->Commit(); !committed) return Forward(committed);
   }
   Count(before, job.state);
-  events_.Publish(id, EventOf(job));
+  events_.Publish(std::make_shared<const Job>(job));
   // Nothing keeps the model's content for this job any more.
   if (IsFinished(job.state)) parts_.blobs.Collect(job.request.model_hash);
   return job;
@@ -348,7 +349,22 @@ Result<std::shared_ptr<JobSubscription>> JobStore::Subscribe(const std::string& 
   // Who has seen the end is told again: its events would otherwise never end.
   const bool news = job->sequence > after || IsFinished(job->state);
   return events_.Subscribe(id, std::move(on_event),
-                           news ? std::optional(EventOf(*job)) : std::nullopt);
+                           news ? std::make_shared<const Job>(*job) : nullptr);
+}
+
+Result<Job> JobStore::WaitForEnd(const std::string& id, Milliseconds timeout) {
+  const auto end = std::chrono::steady_clock::now() + timeout;
+  const auto follower = Subscribe(id);
+  if (!follower) return Forward(follower);
+  JobEvent last;
+  for (Milliseconds left = timeout;;) {
+    const JobEvent event = (*follower)->Next(left);
+    if (event == nullptr) return *last;
+    last = event;
+    left =
+        std::max(Milliseconds(0),
+                 std::chrono::duration_cast<Milliseconds>(end - std::chrono::steady_clock::now()));
+  }
 }
 
 }  // namespace strata::server

@@ -114,6 +114,10 @@ class JobStore {
   Result<std::shared_ptr<JobSubscription>> Subscribe(const std::string& id, std::uint64_t after = 0,
                                                      std::function<void()> on_event = {});
 
+  /// The job once it is finished, or as it is after `timeout` of the machine's time.
+  /// Errors: kNotFound, kIo.
+  Result<Job> WaitForEnd(const std::string& id, Milliseconds timeout);
+
   std::uint64_t queued() const;
   std::uint64_t running() const;
 

@@ -36,11 +36,6 @@ Result<void> CheckCharacters(std::string_view name) {
 Result<void> CheckSegment(std::string_view name, std::size_t begin, std::size_t end) {
   if (begin == end) return Refuse(name, begin, "an empty segment");
   if (name[begin] == '.') return Refuse(name, begin, "a segment that begins with a dot");
-  if (end - begin > kMaxNameSegmentBytes) {
-    return Refuse(name, begin,
-                  "a segment of " + std::to_string(end - begin) + " bytes, expected at most " +
-                      std::to_string(kMaxNameSegmentBytes));
-  }
   return {};
 }
 

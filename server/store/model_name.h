@@ -7,8 +7,7 @@
 
 namespace strata::server {
 
-inline constexpr std::size_t kMaxModelNameBytes = 512;
-inline constexpr std::size_t kMaxNameSegmentBytes = 255;
+inline constexpr std::size_t kMaxModelNameBytes = 255;
 
 /// A name is 1 to 512 bytes of UTF-8 in segments divided by '/': "cars/mini.ply". A segment has 1
 /// to 255 bytes, does not begin with a dot, and holds no backslash and no control character (C0,

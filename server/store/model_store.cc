@@ -87,11 +87,17 @@ Result<std::optional<ModelInfo>> ModelStore::FindNow(const std::string& name) co
   return Find(session, name);
 }
 
-Result<void> ModelStore::CheckWritable(const std::string& name) const {
-  if (auto valid = CheckModelName(name); !valid) return valid;
+Result<bool> ModelStore::IsReadOnly(const std::string& name) const {
+  if (auto valid = CheckModelName(name); !valid) return Forward(valid);
   const auto stored = FindNow(name);
   if (!stored) return Forward(stored);
-  if (!*stored && repository_ != nullptr && repository_->OpenFile(name)) return FailReadOnly(name);
+  return !*stored && repository_ != nullptr && repository_->OpenFile(name);
+}
+
+Result<void> ModelStore::CheckWritable(const std::string& name) const {
+  const auto read_only = IsReadOnly(name);
+  if (!read_only) return Forward(read_only);
+  if (*read_only) return FailReadOnly(name);
   return {};
 }
 

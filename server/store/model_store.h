@@ -71,6 +71,9 @@ class ModelStore {
   Result<PutModel> Put(const std::string& name, const BlobPin& blob,
                        const ModelCondition& condition = {});
 
+  /// Whether `name` is a file of the repository: what tells this kConflict of Put and Delete from
+  /// that of a condition. Errors: kInvalidArgument, kIo.
+  Result<bool> IsReadOnly(const std::string& name) const;
   /// Whether Put could take `name`. Errors: kInvalidArgument, kConflict, kIo.
   Result<void> CheckWritable(const std::string& name) const;
 

@@ -357,7 +357,7 @@ TEST_F(JobStoreTest, ASlowFollowerMissesProgressAndNeverAState) {
   }
   ASSERT_OK(jobs().MarkCancelled(claimed.claim));
   EXPECT_EQ(calls, 203);
-  std::vector<JobEvent> events;
+  std::vector<Job> events;
   while (const auto event = (*follower)->Next(kNoWait)) events.push_back(*event);
   EXPECT_LE(events.size(), JobSubscription::kMaxWaiting + 1);
   EXPECT_EQ(events.front().state, JobState::kQueued);
@@ -378,6 +378,17 @@ TEST_F(JobStoreTest, WaitersWakeWhenAJobOrAnEventComes) {
   }
   EXPECT_TRUE((*follower)->ended());
   worker.join();
+}
+
+TEST_F(JobStoreTest, WaitingForTheEndReturnsItOrTheStateAtTheTimeout) {
+  const std::string id = Create();
+  EXPECT_EQ(jobs().WaitForEnd(id, kNoWait)->state, JobState::kQueued);
+  const auto claimed = Claim();
+  std::thread worker([&] { EXPECT_OK(jobs().MarkCancelled(claimed.claim)); });
+  EXPECT_EQ(jobs().WaitForEnd(id, kLong)->state, JobState::kCancelled);
+  worker.join();
+  EXPECT_EQ(jobs().WaitForEnd(id, kLong)->state, JobState::kCancelled);
+  EXPECT_FAILS(ErrorCode::kNotFound, jobs().WaitForEnd("none", kNoWait));
 }
 
 }  // namespace

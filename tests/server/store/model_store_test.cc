@@ -162,6 +162,8 @@ TEST_F(ModelStoreTest, FilesOfTheRepositoryAreModelsThatCannotBeChanged) {
   EXPECT_EQ(ReadModel("cars/b.off"), kOff);
   EXPECT_FAILS(ErrorCode::kConflict, Put("cars/b.off", "x"));
   EXPECT_FAILS(ErrorCode::kConflict, store->models().Delete("cars/b.off"));
+  EXPECT_EQ(*store->models().IsReadOnly("cars/b.off"), true);
+  EXPECT_EQ(*store->models().IsReadOnly("cars/none"), false);
   EXPECT_EQ(test::ReadFile(options.models + "/cars/b.off"), kOff);
 }
 
