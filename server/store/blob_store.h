@@ -124,15 +124,15 @@ class BlobStore {
   /// gone from incoming/ on return, also on errors. Errors: kNotFound, kOverBudget, kUnsupported
   /// (no regular file), kIo.
   Result<BlobPin> Import(const std::string& name, BlobKind kind);
-  /// Takes a durable file as a blob by a second (hard) link; `fd` is the same file, `hash` its
-  /// content's, `share` what it has reserved so far, kept if the blob is new.
   struct Adoption {
     const Fd& folder;
-    std::string name;
-    std::string hash;
+    std::string name;  ///< In `folder`.
+    std::string hash;  ///< Of its content.
     std::uint64_t size;
     BlobKind kind;
   };
+  /// Takes a file whose content is durable as a blob, by a second (hard) link. `share` is what was
+  /// reserved for it, at least its size; it is used up if the blob is new. Errors: kIo.
   Result<BlobPin> Adopt(const Adoption& file, DiskShare& share);
 
   /// Errors: kNotFound; kIo when the file is not there or of another size.

@@ -36,7 +36,6 @@ tl::unexpected<Error> FailSystem(const std::string& name, const std::string& wha
 Result<Fd> OpenFolder(int parent, const std::string& name) {
   const bool made = mkdirat(parent, name.c_str(), 0700) == 0;
   if (!made && errno != EEXIST) return FailSystem(name, "cannot make the folder", errno);
-  // O_NOFOLLOW with a trailing slash would follow; names of folders come without one.
   Fd folder(openat(parent, name.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
   if (!folder) return FailSystem(name, "cannot open the folder", errno);
   if (!made) return folder;

@@ -33,7 +33,7 @@ class Fd {
 tl::unexpected<Error> FailSystem(const std::string& name, const std::string& what, int error);
 
 /// The folder `name` in the open folder `parent` (AT_FDCWD: of the process), made with mode 0700 if
-/// it is missing; a new one is durable on return. Follows no link in the last component.
+/// it is missing; a new one is durable on return. Errors: kNotFound (no parent), kIo.
 Result<Fd> OpenFolder(int parent, const std::string& name);
 
 /// Makes what was created, renamed or removed in an open folder durable.

@@ -81,11 +81,11 @@ class JobStore {
   /// one stays as it is. Returns the job as it is then. Errors: kNotFound, kIo.
   Result<Job> Cancel(const std::string& id);
 
-  /// The oldest queued job, running from now on; nothing if none is queued. Errors: kIo.
   struct Claimed {
     Job job;
     JobClaim claim;
   };
+  /// The oldest queued job, running from now on; nothing if none is queued. Errors: kIo.
   Result<std::optional<Claimed>> Claim(const std::string& owner);
   /// Waits up to `timeout` until a job is queued. Whether one is.
   bool WaitForQueued(Milliseconds timeout);

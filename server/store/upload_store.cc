@@ -134,10 +134,15 @@ Result<UploadInfo> UploadStore::Create(const NewUpload& upload) {
     unlinkat(parts_.folder.uploads().get(), id.c_str(), 0);
     return Forward(stored);
   }
-  if (auto completed = CompleteIfWhole(*entry); !completed) return Forward(completed);
-  const std::lock_guard lock(mutex_);
-  entries_[id] = entry;
-  return entry->info;
+  entry->busy = true;
+  {
+    const std::lock_guard lock(mutex_);
+    entries_[id] = entry;
+  }
+  const auto completed = CompleteIfWhole(*entry);
+  Leave(*entry);
+  if (!completed) return Forward(completed);
+  return InfoOf(*entry);
 }
 
 Result<void> UploadStore::Insert(const UploadInfo& info) {

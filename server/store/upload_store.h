@@ -95,8 +95,6 @@ class UploadAppend {
 /// The uploads of a data folder. Threads: any; one append at a time to one upload.
 class UploadStore {
  public:
-  /// Takes up what the last process left: cuts each file back to its durable offset, removes files
-  /// that belong to no upload, and turns complete ones into models. Everything outlives the store.
   struct Parts {
     DataFolder& folder;
     Database& database;
@@ -104,6 +102,9 @@ class UploadStore {
     ModelStore& models;
     const Clock& clock;
   };
+  /// Takes up what the last process left: cuts each file back to its durable offset, removes files
+  /// that belong to no upload, and turns complete ones into models. Everything outlives the store.
+  /// Errors: kIo.
   static Result<std::unique_ptr<UploadStore>> Open(const Parts& parts, const UploadLimits& limits);
   ~UploadStore();
 

@@ -142,6 +142,14 @@ TEST_F(FaultsTest, ACompleteUploadThatCouldNotBeStoredIsStoredByTheNextHead) {
   }
 }
 
+TEST_F(FaultsTest, AnEmptyUploadThatCouldNotBeStoredIsStoredByTheNextStart) {
+  linkat_fault.countdown = 0;
+  EXPECT_FAILS(ErrorCode::kIo, store->uploads().Create({"m", 0, ""}));
+  Open();
+  EXPECT_EQ(ReadModel("m"), "");
+  EXPECT_TRUE(Files("uploads").empty());
+}
+
 TEST_F(FaultsTest, AnUploadThatCouldNotBeMadeLeavesNothing) {
   fsync_fault.countdown = 0;
   EXPECT_FAILS(ErrorCode::kIo, store->uploads().Create({"m", 5, ""}));
