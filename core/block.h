@@ -1,6 +1,7 @@
 // Reservoirs of a block of 8^3 cells: the unit in which they travel to disk and merge.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -20,6 +21,9 @@ inline std::uint16_t OffsetInBlock(Cell cell) {
 inline Cell CellOf(Cell block, std::uint16_t offset) {
   return {block.x * 8 + (offset >> 6), block.y * 8 + (offset >> 3 & 7), block.z * 8 + (offset & 7)};
 }
+
+/// Which cells of a block are occupied: bit `offset % 64` of word `offset / 64`.
+using CellMask = std::array<std::uint64_t, 8>;
 
 /// The occupied cells of a block, by offset.
 struct BlockReservoirs {

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/parcels.h"
 #include "core/rejection.h"
 #include "core/stopwatch.h"
 #include "core/stream_rejection.h"
@@ -117,10 +118,12 @@ SampleColumns Keep(const AllCells& all, const std::vector<std::uint8_t>& fate,
 
 // --- In passes -------------------------------------------------------------------------------
 
-// What the first pass finds.
+// What the first pass finds; cells, area and bounds of the territory alone.
 struct Overview {
   std::vector<Cell> blocks;
+  std::vector<std::uint16_t> counts;  // Cells of each; empty where no parcels are wanted.
   MemoryShare blocks_share;
+  std::uint64_t samples = 0;  // In all blocks.
   std::uint64_t cells = 0;
   AreaSum area;
   Bounds bounds;  // Of all samples.
@@ -130,30 +133,39 @@ constexpr std::uint64_t kSamplesAtOnce = 1 << 16;
 
 class PassJob {
  public:
-  PassJob(std::unique_ptr<ReservoirStore> store, const GatherOptions& options, RunContext& context)
-      : store_(std::move(store)), options_(options), context_(context) {}
+  PassJob(std::unique_ptr<ReservoirStore> store, const GatherOptions& options, RunContext& context,
+          std::unique_ptr<const Territory> territory)
+      : store_(std::move(store)),
+        options_(options),
+        context_(context),
+        territory_(std::move(territory)) {}
 
   Result<Gathered> Run();
 
  private:
   Result<Overview> Survey();
+  void Note(const BlockReservoirs& block, Overview& all) const;
+  Result<std::vector<OctreeNode>> Parcels(Overview& overview) const;
   Result<Survivors> Reject(const Overview& overview);
 
   std::unique_ptr<ReservoirStore> store_;
   GatherOptions options_;
   RunContext& context_;
+  std::unique_ptr<const Territory> territory_;  // Null = all blocks.
 };
 
 // The last pass: hands out what survives.
 class PassSource : public SampleSource {
  public:
   PassSource(std::unique_ptr<ReservoirStore> store, std::unique_ptr<BlockStream> blocks,
-             std::optional<Survivors> survivors, MemoryShare share, const GatherOptions& options)
+             std::optional<Survivors> survivors, MemoryShare share, const GatherOptions& options,
+             std::unique_ptr<const Territory> territory)
       : store_(std::move(store)),
         blocks_(std::move(blocks)),
         survivors_(std::move(survivors)),
         share_(std::move(share)),
-        options_(options) {}
+        options_(options),
+        territory_(std::move(territory)) {}
 
   Result<bool> Next(SampleColumns& out) override {
     Resize(out, options_.attributes, kSamplesAtOnce + 512);
@@ -162,6 +174,10 @@ class PassSource : public SampleSource {
       const auto more = blocks_->Next(block_);
       if (!more) return Forward(more);
       if (!*more) break;
+      if (territory_ && !territory_->Owns(block_.block)) {
+        number_ += block_.cells.size();
+        continue;
+      }
       for (const BlockReservoirs::Entry& entry : block_.cells) {
         if (survivors_ && !survivors_->Has(number_++)) continue;
         const Cell cell = CellOf(block_.block, entry.offset);
@@ -179,6 +195,7 @@ class PassSource : public SampleSource {
   std::optional<Survivors> survivors_;  // None = all.
   MemoryShare share_;
   GatherOptions options_;
+  std::unique_ptr<const Territory> territory_;  // Null = all blocks.
   BlockReservoirs block_;
   std::uint64_t number_ = 0;
 };
@@ -193,31 +210,57 @@ Result<Overview> PassJob::Survey() {
     if (!more) return Forward(more);
     if (!*more) break;
     if (context_.cancelled()) return Cancelled();
-    all.blocks.push_back(block.block);
-    all.cells += block.cells.size();
-    for (const BlockReservoirs::Entry& entry : block.cells) {
-      all.area.Add(entry.reservoir.area);
-      all.bounds.Add(PositionOf(options_, CellOf(block.block, entry.offset), entry.reservoir));
-    }
+    Note(block, all);
   }
-  auto share = context_.memory().Take(all.blocks.capacity() * sizeof(Cell), "the list of blocks");
+  const std::uint64_t bytes =
+      all.blocks.capacity() * sizeof(Cell) + all.counts.capacity() * sizeof(std::uint16_t);
+  auto share = context_.memory().Take(bytes, "the list of blocks");
   if (!share) return Forward(share);
   all.blocks_share = std::move(*share);
   return all;
+}
+
+void PassJob::Note(const BlockReservoirs& block, Overview& all) const {
+  all.blocks.push_back(block.block);
+  all.samples += block.cells.size();
+  if (territory_ && !territory_->Owns(block.block)) return;
+  if (!territory_ && options_.parcel_cells > 0) {
+    all.counts.push_back(static_cast<std::uint16_t>(block.cells.size()));
+  }
+  all.cells += block.cells.size();
+  for (const BlockReservoirs::Entry& entry : block.cells) {
+    all.area.Add(entry.reservoir.area);
+    all.bounds.Add(PositionOf(options_, CellOf(block.block, entry.offset), entry.reservoir));
+  }
+}
+
+Result<std::vector<OctreeNode>> PassJob::Parcels(Overview& overview) const {
+  if (territory_) return territory_->nodes();
+  if (options_.parcel_cells == 0) return {};
+  const auto visit = [&](const auto& block) -> Result<void> {
+    for (std::size_t b = 0; b < overview.blocks.size(); ++b) {
+      block(overview.blocks[b], overview.counts[b]);
+    }
+    return {};
+  };
+  return PlanParcels(options_.parcel_cells, options_.surface, options_.lattice.edge, visit);
 }
 
 Result<Survivors> PassJob::Reject(const Overview& overview) {
   auto stream = store_->Blocks(context_.memory());
   if (!stream) return Forward(stream);
   context_.SetStage(RunContext::Stage::kReject);
-  return RejectStream(**stream, overview.blocks, overview.cells, options_,
+  return RejectStream(**stream, {overview.blocks, overview.samples, territory_.get()}, options_,
                       context_.memory().left() / 10 * 7, context_);
 }
 
 Result<Gathered> PassJob::Run() {
-  const auto overview = Survey();
+  auto overview = Survey();
   if (!overview) return Forward(overview);
   Gathered out;
+  auto parcels = Parcels(*overview);
+  if (!parcels) return Forward(parcels);
+  out.parcels = std::move(*parcels);
   out.cells = out.survivors = overview->cells;
   out.cell_area = overview->area.InWorldUnits(options_.lattice);
   out.bounds = overview->bounds;
@@ -225,7 +268,7 @@ Result<Gathered> PassJob::Run() {
   MemoryShare share;
   const Stopwatch watch;
   if (options_.min_distance > 0) {
-    auto bits = context_.memory().Take(Survivors::BytesFor(out.cells), "the list of survivors");
+    auto bits = context_.memory().Take(Survivors::BytesFor(overview->samples), "the list of survivors");
     if (!bits) return Forward(bits);
     share = std::move(*bits);
     auto found = Reject(*overview);
@@ -233,12 +276,15 @@ Result<Gathered> PassJob::Run() {
     survivors = std::move(*found);
     out.survivors = survivors->count;
     out.bounds = survivors->bounds;
+    out.undecided = survivors->undecided;
+    if (!out.undecided.empty()) return out;
   }
   out.reject_seconds = watch.seconds();
   auto stream = store_->Blocks(context_.memory());
   if (!stream) return Forward(stream);
   out.samples = std::make_unique<PassSource>(std::move(store_), std::move(*stream),
-                                             std::move(survivors), std::move(share), options_);
+                                             std::move(survivors), std::move(share), options_,
+                                             std::move(territory_));
   return out;
 }
 
@@ -252,6 +298,15 @@ Result<Gathered> GatherInMemory(std::unique_ptr<ReservoirStore> store, const Gat
   AreaSum area;
   for (const Reservoir* r : all.reservoir) area.Add(r->area);
   out.cell_area = area.InWorldUnits(options.lattice);
+  if (options.parcel_cells > 0) {
+    auto parcels = PlanParcels(options.parcel_cells, options.surface, options.lattice.edge,
+                               [&](const auto& block) -> Result<void> {
+                                 for (const Cell cell : all.cell) block(BlockOf(cell), 1);
+                                 return {};
+                               });
+    if (!parcels) return Forward(parcels);
+    out.parcels = std::move(*parcels);
+  }
   context.SetStage(RunContext::Stage::kReject);
   const Stopwatch watch;
   const auto fate = RejectClosePoints({all.position, all.time, all.cell},
@@ -269,8 +324,8 @@ Result<Gathered> GatherInMemory(std::unique_ptr<ReservoirStore> store, const Gat
 }
 
 Result<Gathered> GatherInPasses(std::unique_ptr<ReservoirStore> store, const GatherOptions& options,
-                                RunContext& context) {
-  return PassJob(std::move(store), options, context).Run();
+                                RunContext& context, std::unique_ptr<const Territory> territory) {
+  return PassJob(std::move(store), options, context, std::move(territory)).Run();
 }
 
 }  // namespace strata

@@ -11,7 +11,7 @@ namespace strata {
 namespace {
 
 constexpr std::string_view kMagic = "STRATAPT";
-constexpr std::uint32_t kFormat = 1;
+constexpr std::uint32_t kFormat = 2;
 constexpr std::uint32_t kMostInfoBytes = 64 << 20;
 
 // The file begins with this; the info follows, then a run (core/run_file.h) to the end.
@@ -247,8 +247,9 @@ Result<CombinedPartials> CombinePartials(std::vector<Partial> partials, RunConte
     } else {
       Add(combined.info, partial.info);
     }
-    combined.store->Adopt(std::move(partial.file), partial.run);
+    combined.store->Adopt({partial.file, partial.run});
   }
+  combined.parts = std::move(used);
   return combined;
 }
 

@@ -49,8 +49,8 @@ Result<void> WritePartial(const AppendBytes& append, const PartialInfo& info, Re
 /// An open partial.
 struct Partial {
   PartialInfo info;
-  std::unique_ptr<ScratchFile> file;
-  RunExtent run;
+  std::shared_ptr<const ScratchFile> file;
+  RunExtent run;  ///< Its blocks and cells are not known yet.
 };
 
 /// Reads a partial's info. Takes the file over. Errors: kIo; kCorruptInput, kUnsupported (another
@@ -64,6 +64,7 @@ Result<Partial> OpenPartial(std::unique_ptr<ScratchFile> file);
 struct CombinedPartials {
   PartialInfo info;
   std::unique_ptr<ReservoirStore> store;
+  std::vector<Partial> parts;         ///< What the store is made of.
   std::vector<std::string> left_out;  ///< Names of files that were not needed.
 };
 Result<CombinedPartials> CombinePartials(std::vector<Partial> partials, RunContext& context);

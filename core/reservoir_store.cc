@@ -17,6 +17,23 @@ std::size_t StreamsAtOnce(const MemoryAccount& memory) {
       std::clamp<std::uint64_t>(memory.left() / 4 / kRunBufferBytes, 2, 256));
 }
 
+// Some blocks of a stream.
+class WantedBlocks : public BlockStream {
+ public:
+  WantedBlocks(std::unique_ptr<BlockStream> stream, std::function<bool(Cell)> wanted)
+      : stream_(std::move(stream)), wanted_(std::move(wanted)) {}
+  Result<bool> Next(BlockReservoirs& out) override {
+    for (;;) {
+      const auto more = stream_->Next(out);
+      if (!more || !*more || wanted_(out.block)) return more;
+    }
+  }
+
+ private:
+  std::unique_ptr<BlockStream> stream_;
+  std::function<bool(Cell)> wanted_;
+};
+
 }  // namespace
 
 ReservoirStore::ReservoirStore(const StoreLimits& limits)
@@ -101,7 +118,7 @@ void ReservoirStore::Checkpoint(SaveRuns save) {
       });
 }
 
-Result<void> ReservoirStore::WriteCheckpoint(const ReservoirGrid& frozen, std::vector<Run> held) {
+Result<void> ReservoirStore::WriteCheckpoint(const ReservoirGrid& frozen, std::vector<StoredRun> held) {
   if (frozen.size() > 0) {
     const auto run = WriteRun(*frozen.Blocks());
     if (!run) return Forward(run);
@@ -111,9 +128,9 @@ Result<void> ReservoirStore::WriteCheckpoint(const ReservoirGrid& frozen, std::v
   return SaveCheckpoint(held);
 }
 
-Result<void> ReservoirStore::SaveCheckpoint(std::span<const Run> runs) const {
+Result<void> ReservoirStore::SaveCheckpoint(std::span<const StoredRun> runs) const {
   std::vector<RunExtent> extents;
-  for (const Run& run : runs) extents.push_back(run.extent);
+  for (const StoredRun& run : runs) extents.push_back(run.extent);
   return save_(extents);
 }
 
@@ -121,7 +138,7 @@ Result<void> ReservoirStore::Restore(const std::vector<RunExtent>& runs) {
   std::uint64_t end = 0;
   for (const RunExtent& extent : runs) end = std::max(end, extent.offset + extent.bytes);
   if (auto opened = OpenFile(end); !opened) return opened;
-  for (const RunExtent& extent : runs) runs_.push_back({file_.get(), extent});
+  for (const RunExtent& extent : runs) runs_.push_back({file_, extent});
   return {};
 }
 
@@ -139,25 +156,23 @@ Result<void> ReservoirStore::OpenFile(std::uint64_t keep) {
   return {};
 }
 
-Result<ReservoirStore::Run> ReservoirStore::WriteRun(BlockStream& blocks) {
+Result<StoredRun> ReservoirStore::WriteRun(BlockStream& blocks) {
   if (auto opened = OpenFile(0); !opened) return Forward(opened);
   RunWriter writer([this](std::string_view bytes) { return file_->Append(bytes); }, file_->size(),
                    limits_.barycentric);
   const auto extent = writer.WriteAll(blocks, limits_.context);
   if (!extent) return Forward(extent);
-  return Run{file_.get(), *extent};
+  return StoredRun{file_, *extent};
 }
 
-void ReservoirStore::Adopt(std::unique_ptr<ScratchFile> file, const RunExtent& extent) {
-  runs_.push_back({file.get(), extent});
-  adopted_.push_back(std::move(file));
-}
+void ReservoirStore::Adopt(StoredRun run) { runs_.push_back(std::move(run)); }
 
 // What this store wrote and cannot read back is the disk's fault; an adopted run is an input.
-std::unique_ptr<BlockStream> ReservoirStore::Open(const Run& run) const {
-  const bool own = run.file == file_.get();
-  return std::make_unique<RunReader>(*run.file, run.extent,
-                                     own ? ErrorCode::kIo : ErrorCode::kCorruptInput);
+std::unique_ptr<BlockStream> ReservoirStore::Open(const StoredRun& run) const {
+  const ErrorCode damage = run.file == file_ ? ErrorCode::kIo : ErrorCode::kCorruptInput;
+  auto stream = std::make_unique<RunReader>(*run.file, run.extent, run.frames, damage);
+  if (!run.wanted) return stream;
+  return std::make_unique<WantedBlocks>(std::move(stream), run.wanted);
 }
 
 // Merges the first `count` runs into one at the end.
@@ -169,13 +184,13 @@ Result<void> ReservoirStore::MergeRuns(std::size_t count) {
   BlockMerge merged(std::move(streams));
   const auto run = WriteRun(merged);
   if (!run) return Forward(run);
-  std::vector<Run> kept(runs_.begin() + static_cast<std::ptrdiff_t>(count), runs_.end());
+  std::vector<StoredRun> kept(runs_.begin() + static_cast<std::ptrdiff_t>(count), runs_.end());
   kept.push_back(*run);
   if (save_) {
     if (auto saved = SaveCheckpoint(kept); !saved) return saved;
   }
   for (std::size_t i = 0; i < count; ++i) {
-    if (runs_[i].file != file_.get()) continue;
+    if (runs_[i].file != file_) continue;
     file_->Discard(runs_[i].extent.offset, runs_[i].extent.bytes);
   }
   runs_ = std::move(kept);

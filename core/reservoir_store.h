@@ -35,6 +35,15 @@ struct StoreLimits {
   const RunContext* context = nullptr;  ///< Its cancel flag ends the writing of runs; may be null.
 };
 
+/// A run of a store, or what is wanted of it.
+struct StoredRun {
+  std::shared_ptr<const ScratchFile> file;
+  RunExtent extent;
+  /// The frames to read (core/run_index.h); null = all.
+  std::shared_ptr<const std::vector<std::uint64_t>> frames = nullptr;
+  std::function<bool(Cell block)> wanted = nullptr;  ///< Of their blocks; null = all.
+};
+
 /// All reservoirs of a scan. A grid that reaches half of its bytes is frozen and written as a run
 /// by the worker that found it so, while the others go on filling a new one.
 class ReservoirStore {
@@ -49,7 +58,7 @@ class ReservoirStore {
   void Merge(const CellCache& cache);
 
   /// Adds a run that another scan wrote. Threads: not while anything else runs.
-  void Adopt(std::unique_ptr<ScratchFile> file, const RunExtent& extent);
+  void Adopt(StoredRun run);
 
   /// Goes on with runs that a former process left. Threads: as for Adopt. Errors: kIo.
   Result<void> Restore(const std::vector<RunExtent>& runs);
@@ -82,20 +91,15 @@ class ReservoirStore {
   Result<std::unique_ptr<BlockStream>> Blocks(const MemoryAccount& memory);
 
  private:
-  struct Run {
-    const ScratchFile* file;
-    RunExtent extent;
-  };
-
   void Spill();
   void Settle();
   void Note(const Result<void>& written);
-  Result<void> WriteCheckpoint(const ReservoirGrid& frozen, std::vector<Run> held);
-  Result<void> SaveCheckpoint(std::span<const Run> runs) const;
+  Result<void> WriteCheckpoint(const ReservoirGrid& frozen, std::vector<StoredRun> held);
+  Result<void> SaveCheckpoint(std::span<const StoredRun> runs) const;
   Result<void> OpenFile(std::uint64_t keep);
-  Result<Run> WriteRun(BlockStream& blocks);
+  Result<StoredRun> WriteRun(BlockStream& blocks);
   Result<void> MergeRuns(std::size_t count);
-  std::unique_ptr<BlockStream> Open(const Run& run) const;
+  std::unique_ptr<BlockStream> Open(const StoredRun& run) const;
 
   StoreLimits limits_;
   std::shared_mutex grid_mutex_;  // Exclusive: the grid is exchanged.
@@ -104,9 +108,8 @@ class ReservoirStore {
   std::mutex spill_mutex_;  // Guards the file, the runs and the failure while workers run.
   std::thread writer_;      // Of the last checkpoint.
   SaveRuns save_;           // Of the last checkpoint.
-  std::unique_ptr<ScratchFile> file_;
-  std::vector<std::unique_ptr<ScratchFile>> adopted_;
-  std::vector<Run> runs_;
+  std::shared_ptr<ScratchFile> file_;
+  std::vector<StoredRun> runs_;
   std::optional<Error> failure_;
   std::atomic<bool> failed_{false};
 };

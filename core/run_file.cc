@@ -3,72 +3,19 @@
 #include <zstd.h>
 
 #include <algorithm>
-#include <bit>
+#include <cmath>
 #include <cstring>
+#include <limits>
 #include <string_view>
 #include <utility>
+
+#include "core/run_frame.h"
 
 namespace strata {
 namespace {
 
-static_assert(std::endian::native == std::endian::little, "runs are little endian");
-
-constexpr std::size_t kCellsPerFrame = 1024;  // A frame ends with the block that reaches this.
-constexpr std::size_t kMostCellsPerFrame = kCellsPerFrame + 512;
 constexpr int kLevel = 1;
-// Flags of a frame.
-constexpr std::uint32_t kHasBarycentric = 1, kIsEnd = 2;
-
-struct FrameHeader {
-  std::uint32_t compressed_bytes, raw_bytes;
-};
-struct ContentHeader {
-  std::uint32_t flags, blocks, cells, reserved;
-};
-struct EndContent {
-  ContentHeader header;
-  std::uint64_t blocks, cells;
-};
-
-std::size_t RawBytes(std::size_t blocks, std::size_t cells, bool barycentric) {
-  return sizeof(ContentHeader) + blocks * (sizeof(Cell) + 2) + cells * (2 + 8 * 7 + 12) +
-         (barycentric ? cells * 16 : 0);
-}
-
-// Columns one after another, each value as it lies in memory.
-class ColumnWriter {
- public:
-  explicit ColumnWriter(std::string& out) : out_(out) { out_.clear(); }
-  template <class T>
-  void Put(const T& value) {
-    out_.append(reinterpret_cast<const char*>(&value), sizeof value);
-  }
-  template <class Range, class F>
-  void Column(const Range& range, F&& value_of) {
-    for (const auto& element : range) Put(value_of(element));
-  }
-
- private:
-  std::string& out_;
-};
-
-class ColumnReader {
- public:
-  explicit ColumnReader(std::string_view in) : in_(in) {}
-  // Precondition: the sizes were checked (RawBytes).
-  template <class T>
-  void Get(T& value) {
-    std::memcpy(&value, in_.data(), sizeof value);
-    in_.remove_prefix(sizeof value);
-  }
-  template <class Range, class F>
-  void Column(Range& range, F&& place_of) {
-    for (auto& element : range) Get(place_of(element));
-  }
-
- private:
-  std::string_view in_;
-};
+constexpr std::size_t kOffsetsPerFrame = 4096;
 
 // Calls `column` with a function from an entry to each of its fields in turn.
 template <class F>
@@ -104,10 +51,61 @@ bool AreCellsInOrder(const std::vector<std::uint16_t>& counts,
   return at == cells.size();
 }
 
+// By how many blocks a sample lies outside the block of its cell. What comes within rounding of a
+// face counts as outside.
+std::uint64_t SpreadOf(const BlockReservoirs::Entry& entry) {
+  const Vec3& local = entry.reservoir.local;
+  const double farthest = std::max({std::abs(local.x), std::abs(local.y), std::abs(local.z)});
+  if (farthest <= 0.5) return 0;
+  const Cell cell = CellOf({}, entry.offset);
+  const Vec3 at = Vec3{cell.x + 0.5, cell.y + 0.5, cell.z + 0.5} + local;
+  double outside = -1;
+  for (int a = 0; a < 3; ++a) outside = std::max({outside, -at[a], at[a] - 8});
+  const double blocks = std::ceil((outside + 1e-6) / 8);
+  if (!(blocks > 0)) return 0;
+  constexpr auto kMost = std::numeric_limits<std::uint32_t>::max();
+  return blocks < kMost ? static_cast<std::uint64_t>(blocks) : kMost;
+}
+
 }  // namespace
 
 void RunWriter::FreeContext::operator()(ZSTD_CCtx_s* context) const { ZSTD_freeCCtx(context); }
-void RunReader::FreeContext::operator()(ZSTD_DCtx_s* context) const { ZSTD_freeDCtx(context); }
+
+// --- The index -------------------------------------------------------------------------------
+
+void IndexBuilder::Add(const BlockReservoirs& block) {
+  CellMask mask{};
+  for (const BlockReservoirs::Entry& entry : block.cells) {
+    mask[entry.offset / 64 % mask.size()] |= std::uint64_t{1} << (entry.offset % 64);
+    spread_ = std::max(spread_, SpreadOf(entry));
+  }
+  blocks_.push_back(block.block);
+  masks_.push_back(mask);
+}
+
+void IndexBuilder::EndFrame(std::uint64_t bytes) {
+  frame_bytes_.push_back(static_cast<std::uint32_t>(bytes));
+  frame_blocks_.push_back(static_cast<std::uint32_t>(blocks_.size() - framed_));
+  framed_ = blocks_.size();
+}
+
+bool IndexBuilder::full() const { return blocks_.size() >= kBlocksPerIndex; }
+
+void IndexBuilder::Pack(std::string& out) {
+  ColumnWriter column(out);
+  column.Put(ContentHeader{kIsIndex, static_cast<std::uint32_t>(blocks_.size()), 0,
+                           static_cast<std::uint32_t>(frame_bytes_.size())});
+  const auto same = [](const auto& value) -> const auto& { return value; };
+  column.Column(frame_bytes_, same);
+  column.Column(frame_blocks_, same);
+  column.Column(blocks_, same);
+  column.Column(masks_, same);
+  blocks_.clear();
+  masks_.clear();
+  frame_bytes_.clear();
+  frame_blocks_.clear();
+  framed_ = 0;
+}
 
 // --- Writing ---------------------------------------------------------------------------------
 
@@ -123,8 +121,10 @@ Result<void> RunWriter::Add(const BlockReservoirs& block) {
   blocks_.push_back(block.block);
   counts_.push_back(static_cast<std::uint16_t>(block.cells.size()));
   cells_.insert(cells_.end(), block.cells.begin(), block.cells.end());
-  if (cells_.size() >= kCellsPerFrame) return WriteFrame();
-  return {};
+  index_.Add(block);
+  if (cells_.size() < kCellsPerFrame && blocks_.size() < kBlocksPerFrame) return {};
+  auto written = WriteFrame();
+  return written && index_.full() ? WriteIndex() : written;
 }
 
 Result<void> RunWriter::WriteFrame() {
@@ -140,7 +140,27 @@ Result<void> RunWriter::WriteFrame() {
   blocks_.clear();
   counts_.clear();
   cells_.clear();
+  const std::uint64_t before = extent_.bytes;
+  auto written = WriteCompressed(raw_);
+  index_.EndFrame(extent_.bytes - before);
+  return written;
+}
+
+Result<void> RunWriter::WriteIndex() {
+  directory_.push_back(extent_.bytes);
+  index_.Pack(raw_);
   return WriteCompressed(raw_);
+}
+
+Result<void> RunWriter::WriteDirectory() {
+  for (std::size_t first = 0; first < directory_.size(); first += kOffsetsPerFrame) {
+    const std::size_t n = std::min(kOffsetsPerFrame, directory_.size() - first);
+    ColumnWriter out(raw_);
+    out.Put(ContentHeader{kIsDirectory, 0, 0, static_cast<std::uint32_t>(n)});
+    for (std::size_t i = 0; i < n; ++i) out.Put(directory_[first + i]);
+    if (auto written = WriteCompressed(raw_); !written) return written;
+  }
+  return {};
 }
 
 Result<void> RunWriter::WriteCompressed(std::string_view raw) {
@@ -153,16 +173,26 @@ Result<void> RunWriter::WriteCompressed(std::string_view raw) {
   }
   const FrameHeader header{static_cast<std::uint32_t>(n), static_cast<std::uint32_t>(raw.size())};
   std::memcpy(compressed_.data(), &header, sizeof header);
-  extent_.bytes += sizeof header + n;
-  return append_({compressed_.data(), sizeof header + n});
+  return Put({compressed_.data(), sizeof header + n});
+}
+
+Result<void> RunWriter::Put(std::string_view bytes) {
+  extent_.bytes += bytes.size();
+  return append_(bytes);
 }
 
 Result<RunExtent> RunWriter::Finish() {
-  if (!cells_.empty()) {
-    if (auto written = WriteFrame(); !written) return Forward(written);
-  }
-  const EndContent end{{kIsEnd, 0, 0, 0}, extent_.blocks, extent_.cells};
-  auto written = WriteCompressed({reinterpret_cast<const char*>(&end), sizeof end});
+  Result<void> written;
+  if (!cells_.empty()) written = WriteFrame();
+  if (written && !index_.empty()) written = WriteIndex();
+  const std::uint64_t directory = extent_.bytes;
+  if (written) written = WriteDirectory();
+  const std::uint64_t last = extent_.bytes;
+  const EndContent end{{kIsEnd, 0, 0, 0}, extent_.blocks, extent_.cells, index_.spread(),
+                       last - directory};
+  if (written) written = WriteCompressed({reinterpret_cast<const char*>(&end), sizeof end});
+  const auto trailer = static_cast<RunTrailer>(extent_.bytes - last);
+  if (written) written = Put({reinterpret_cast<const char*>(&trailer), sizeof trailer});
   if (!written) return Forward(written);
   return extent_;
 }
@@ -181,17 +211,16 @@ Result<RunExtent> RunWriter::WriteAll(BlockStream& blocks, const RunContext* con
 // --- Reading ---------------------------------------------------------------------------------
 
 RunReader::RunReader(const ScratchFile& file, const RunExtent& extent, ErrorCode damage)
-    : file_(file),
-      damage_(damage),
-      begin_(extent.offset),
-      at_(extent.offset),
-      end_(extent.offset + extent.bytes),
-      context_(ZSTD_createDCtx()) {}
+    : RunReader(file, extent, nullptr, damage) {}
+RunReader::RunReader(const ScratchFile& file, const RunExtent& extent,
+                     std::shared_ptr<const std::vector<std::uint64_t>> frames, ErrorCode damage)
+    : frame_(std::make_unique<FrameReader>(file, extent, damage, NewUnpackContext())),
+      chosen_(std::move(frames)) {}
 RunReader::~RunReader() = default;
 
 Result<bool> RunReader::Next(BlockReservoirs& out) {
   if (next_block_ == blocks_.size()) {
-    const auto more = ReadFrame();
+    const auto more = chosen_ ? ReadChosenFrame() : ReadFrame();
     if (!more || !*more) return more;
   }
   out.block = blocks_[next_block_];
@@ -203,43 +232,44 @@ Result<bool> RunReader::Next(BlockReservoirs& out) {
   return true;
 }
 
-Result<bool> RunReader::ReadFrame() {
-  FrameHeader header;
-  if (end_ - at_ < sizeof header) return Damaged("it ends before its last frame");
-  auto read = file_.ReadAt(at_, {reinterpret_cast<char*>(&header), sizeof header});
-  if (!read) return Forward(read);
-  const std::size_t most = RawBytes(kMostCellsPerFrame, kMostCellsPerFrame, true);
-  if (header.raw_bytes < sizeof(ContentHeader) || header.raw_bytes > most ||
-      header.compressed_bytes > end_ - at_ - sizeof header ||
-      header.compressed_bytes > ZSTD_compressBound(most)) {
-    return Damaged("a frame claims " + std::to_string(header.compressed_bytes) + " bytes for " +
-                   std::to_string(header.raw_bytes));
+Result<bool> RunReader::ReadChosenFrame() {
+  if (next_chosen_ == chosen_->size()) return false;
+  if (auto read = frame_->Read((*chosen_)[next_chosen_++]); !read) return Forward(read);
+  if ((frame_->header().flags & ~kHasBarycentric) != 0) {
+    return frame_->Damaged("its index names a frame that holds no reservoirs");
   }
-  compressed_.resize(header.compressed_bytes);
-  read = file_.ReadAt(at_ + sizeof header, compressed_);
-  if (!read) return Forward(read);
-  raw_.resize(header.raw_bytes);
-  const std::size_t n = ZSTD_decompressDCtx(context_.get(), raw_.data(), raw_.size(),
-                                            compressed_.data(), compressed_.size());
-  if (ZSTD_isError(n)) return Damaged(ZSTD_getErrorName(n));
-  if (n != raw_.size()) return Damaged("a frame is shorter than it says");
-  std::uint32_t flags = 0;
-  std::memcpy(&flags, raw_.data(), sizeof flags);
-  const std::uint64_t frame_bytes = sizeof header + header.compressed_bytes;
-  if ((flags & kIsEnd) != 0) return ReadEnd(static_cast<std::uint32_t>(frame_bytes));
   if (auto unpacked = Unpack(); !unpacked) return Forward(unpacked);
-  at_ += frame_bytes;
   return true;
 }
 
+Result<bool> RunReader::ReadFrame() {
+  for (;;) {
+    if (auto read = frame_->Read(frame_->next()); !read) return Forward(read);
+    const std::uint32_t flags = frame_->header().flags;
+    if ((flags & kIsEnd) != 0) return ReadEnd();
+    if ((flags & (kIsIndex | kIsDirectory)) == 0) break;
+    if (auto checked = CheckIndex(); !checked) return Forward(checked);
+  }
+  if (auto unpacked = Unpack(); !unpacked) return Forward(unpacked);
+  return true;
+}
+
+// Every block must be known to the index, or a reader that relies on it would miss some.
+Result<void> RunReader::CheckIndex() {
+  indexed_ += frame_->header().blocks;
+  if (indexed_ != blocks_read_) return frame_->Damaged("its index names other blocks");
+  return {};
+}
+
 Result<void> RunReader::Unpack() {
-  ColumnReader in(raw_);
+  ColumnReader in(frame_->content());
   ContentHeader content;
   in.Get(content);
   const bool barycentric = (content.flags & kHasBarycentric) != 0;
-  if (content.cells > kMostCellsPerFrame || content.blocks > content.cells || content.blocks == 0 ||
-      RawBytes(content.blocks, content.cells, barycentric) != raw_.size()) {
-    return Damaged("a frame's counts do not fit its size");
+  if (content.cells > kMostCellsPerFrame || content.blocks > kBlocksPerFrame ||
+      content.blocks > content.cells || content.blocks == 0 ||
+      RawBytes(content.blocks, content.cells, barycentric) != frame_->content().size()) {
+    return frame_->Damaged("a frame's counts do not fit its size");
   }
   const Cell last = blocks_.empty() ? Cell{} : blocks_.back();
   const bool first_frame = blocks_.empty();
@@ -249,35 +279,39 @@ Result<void> RunReader::Unpack() {
   in.Column(blocks_, [](Cell& c) -> Cell& { return c; });
   in.Column(counts_, [](std::uint16_t& n) -> std::uint16_t& { return n; });
   ForEachColumn(barycentric, [&](auto&& field) { in.Column(cells_, field); });
-  if (!AreCellsInOrder(counts_, cells_)) return Damaged("a block's cells are not in order");
+  if (!AreCellsInOrder(counts_, cells_)) {
+    return frame_->Damaged("a block's cells are not in order");
+  }
   const bool ascending =
       (first_frame || last < blocks_.front()) &&
       std::adjacent_find(blocks_.begin(), blocks_.end(), std::greater_equal<>()) == blocks_.end();
-  if (!ascending) return Damaged("a frame's blocks are not in order");
+  if (!ascending) return frame_->Damaged("a frame's blocks are not in order");
   blocks_read_ += blocks_.size();
   cells_read_ += cells_.size();
   next_block_ = next_cell_ = 0;
   return {};
 }
 
-Result<bool> RunReader::ReadEnd(std::uint32_t frame_bytes) {
+Result<bool> RunReader::ReadEnd() {
   EndContent end;
-  if (raw_.size() != sizeof end) return Damaged("its end has a wrong size");
-  std::memcpy(&end, raw_.data(), sizeof end);
+  if (frame_->content().size() != sizeof end) return frame_->Damaged("its end has a wrong size");
+  std::memcpy(&end, frame_->content().data(), sizeof end);
   if (end.blocks != blocks_read_ || end.cells != cells_read_) {
-    return Damaged("it holds " + std::to_string(cells_read_) + " cells; expected " +
-                   std::to_string(end.cells));
+    return frame_->Damaged("it holds " + std::to_string(cells_read_) + " cells; expected " +
+                           std::to_string(end.cells));
   }
-  if (at_ + frame_bytes != end_) return Damaged("bytes follow its end");
+  if (indexed_ != blocks_read_) return frame_->Damaged("its index names other blocks");
+  RunTrailer trailer = 0;
+  if (frame_->end() - frame_->next() != sizeof trailer) {
+    return frame_->Damaged("a wrong number of bytes follows its end");
+  }
+  auto read =
+      frame_->file().ReadAt(frame_->next(), {reinterpret_cast<char*>(&trailer), sizeof trailer});
+  if (!read) return Forward(read);
+  if (trailer != frame_->next() - frame_->at()) return frame_->Damaged("its end has a wrong size");
   blocks_.clear();
   next_block_ = 0;
   return false;
-}
-
-tl::unexpected<Error> RunReader::Damaged(const std::string& what) const {
-  const std::string place = damage_ == ErrorCode::kIo ? "scratch space " : "";
-  return Fail(damage_, place + file_.name() + ": the run from byte " + std::to_string(begin_) +
-                           " is damaged at byte " + std::to_string(at_) + ": " + what);
 }
 
 }  // namespace strata

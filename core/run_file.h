@@ -15,7 +15,6 @@
 #include "core/scratch.h"
 
 struct ZSTD_CCtx_s;
-struct ZSTD_DCtx_s;
 
 namespace strata {
 
@@ -27,6 +26,30 @@ struct RunExtent {
 
 /// What a run's writer or reader holds in memory, about, in bytes.
 inline constexpr std::uint64_t kRunBufferBytes = 640 << 10;
+
+class FrameReader;
+
+/// Collects what the index of a run says of its blocks. Memory: up to 384 blocks.
+class IndexBuilder {
+ public:
+  void Add(const BlockReservoirs& block);
+  /// After the blocks of a frame of `bytes`.
+  void EndFrame(std::uint64_t bytes);
+  /// Whether there is enough for an index frame.
+  bool full() const;
+  bool empty() const { return blocks_.empty(); }
+  /// The content of an index frame about what was added since the last one.
+  void Pack(std::string& out);
+  /// By how many blocks samples lie outside the block of their cell, at most.
+  std::uint64_t spread() const { return spread_; }
+
+ private:
+  std::vector<Cell> blocks_;
+  std::vector<CellMask> masks_;
+  std::vector<std::uint32_t> frame_bytes_, frame_blocks_;
+  std::size_t framed_ = 0;  // Blocks in frames.
+  std::uint64_t spread_ = 0;
+};
 
 /// Takes bytes at the end of a file. Errors: kIo.
 using AppendBytes = std::function<Result<void>(std::string_view)>;
@@ -48,7 +71,10 @@ class RunWriter {
 
  private:
   Result<void> WriteFrame();
+  Result<void> WriteIndex();
+  Result<void> WriteDirectory();
   Result<void> WriteCompressed(std::string_view raw);
+  Result<void> Put(std::string_view bytes);
 
   struct FreeContext {
     void operator()(ZSTD_CCtx_s* context) const;
@@ -59,40 +85,43 @@ class RunWriter {
   std::vector<Cell> blocks_;  // Of the frame that is being filled.
   std::vector<std::uint16_t> counts_;
   std::vector<BlockReservoirs::Entry> cells_;
+  IndexBuilder index_;
+  std::vector<std::uint64_t> directory_;  // Where index frames start, from the run's first byte.
   std::string raw_, compressed_;
   std::unique_ptr<ZSTD_CCtx_s, FreeContext> context_;
 };
 
-/// Reads one run back. Every frame's checksum is verified, and at the end the counts. Errors: kIo;
-/// `damage` for a damaged or incomplete run, with file and offset.
+/// Reads one run back, or some frames of it. Every frame's checksum is verified, and at the end of
+/// the whole the counts. Errors: kIo; `damage` for a damaged or incomplete run, with file and
+/// offset.
 class RunReader : public BlockStream {
  public:
   /// `damage`: kCorruptInput where the run is an input; kIo where this process wrote it, and it is
   /// the disk that is at fault.
   RunReader(const ScratchFile& file, const RunExtent& extent,
             ErrorCode damage = ErrorCode::kCorruptInput);
+  /// Of the run, only the frames of reservoirs that start at these bytes of the file, ascending
+  /// (core/run_index.h).
+  RunReader(const ScratchFile& file, const RunExtent& extent,
+            std::shared_ptr<const std::vector<std::uint64_t>> frames, ErrorCode damage);
   ~RunReader() override;
   Result<bool> Next(BlockReservoirs& out) override;
 
  private:
   Result<bool> ReadFrame();
+  Result<bool> ReadChosenFrame();
   Result<void> Unpack();
-  Result<bool> ReadEnd(std::uint32_t raw_bytes);
-  tl::unexpected<Error> Damaged(const std::string& what) const;
+  Result<void> CheckIndex();
+  Result<bool> ReadEnd();
 
-  struct FreeContext {
-    void operator()(ZSTD_DCtx_s* context) const;
-  };
-  const ScratchFile& file_;
-  ErrorCode damage_;
-  std::uint64_t begin_, at_, end_;
-  std::uint64_t blocks_read_ = 0, cells_read_ = 0;
-  std::string compressed_, raw_;
+  std::unique_ptr<FrameReader> frame_;
+  std::shared_ptr<const std::vector<std::uint64_t>> chosen_;  // Null = all.
+  std::size_t next_chosen_ = 0;
+  std::uint64_t blocks_read_ = 0, cells_read_ = 0, indexed_ = 0;
   std::vector<Cell> blocks_;
   std::vector<std::uint16_t> counts_;
   std::vector<BlockReservoirs::Entry> cells_;
   std::size_t next_block_ = 0, next_cell_ = 0;
-  std::unique_ptr<ZSTD_DCtx_s, FreeContext> context_;
 };
 
 }  // namespace strata

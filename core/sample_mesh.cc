@@ -19,6 +19,7 @@
 #include "core/checkpoint.h"
 #include "core/enclosing_ball.h"
 #include "core/gather.h"
+#include "core/region.h"
 #include "core/race.h"
 #include "core/rejection.h"
 #include "core/reservoir_grid.h"
@@ -417,6 +418,24 @@ auto InArena(const SampleOptions& options, F&& work) {
   return arena.execute(work);
 }
 
+GatherOptions GatherOptionsOf(const SampleStats& stats, const SampleOptions& options) {
+  return {stats.lattice,
+          stats.bounds,
+          options.min_distance,
+          options.attributes,
+          options.integrator == Integrator::kSubdivide,
+          options.parcel_cells};
+}
+
+SampledMesh Sampled(SampleStats stats, Gathered gathered) {
+  stats.cells = gathered.cells;
+  stats.cell_area = gathered.cell_area;
+  stats.survivors = gathered.survivors;
+  stats.reject_seconds = gathered.reject_seconds;
+  return {std::move(stats), gathered.bounds, std::move(gathered.parcels),
+          std::move(gathered.samples)};
+}
+
 }  // namespace
 
 std::string HexOf(const SurfaceHash& surface) {
@@ -435,20 +454,25 @@ Result<ScannedMesh> ScanMesh(MeshReader& reader, const SampleOptions& options, c
 Result<SampledMesh> GatherSamples(ScannedMesh scanned, const SampleOptions& options,
                                   RunContext& context) {
   return InArena(options, [&]() -> Result<SampledMesh> {
-    SampleStats& s = scanned.stats;
-    const GatherOptions gather{s.lattice, s.bounds, options.min_distance, options.attributes,
-                               options.integrator == Integrator::kSubdivide};
+    const GatherOptions gather = GatherOptionsOf(scanned.stats, options);
     const ReservoirGrid& grid = scanned.store->grid();
     const std::uint64_t needed = grid.bytes() + grid.size() * kGatherBytesPerCell;
     const bool fits = scanned.store->in_memory() && needed <= context.memory().left();
     auto gathered = fits ? GatherInMemory(std::move(scanned.store), gather, context)
                          : GatherInPasses(std::move(scanned.store), gather, context);
     if (!gathered) return Forward(gathered);
-    s.cells = gathered->cells;
-    s.cell_area = gathered->cell_area;
-    s.survivors = gathered->survivors;
-    s.reject_seconds = gathered->reject_seconds;
-    return SampledMesh{std::move(s), gathered->bounds, std::move(gathered->samples)};
+    return Sampled(std::move(scanned.stats), std::move(*gathered));
+  });
+}
+
+Result<SampledMesh> GatherRegion(ScannedMesh scanned, std::span<const Partial> parts,
+                                 const Region& region, const SampleOptions& options,
+                                 RunContext& context) {
+  return InArena(options, [&]() -> Result<SampledMesh> {
+    auto gathered =
+        GatherPartials(parts, region, GatherOptionsOf(scanned.stats, options), context);
+    if (!gathered) return Forward(gathered);
+    return Sampled(std::move(scanned.stats), std::move(*gathered));
   });
 }
 

@@ -6,7 +6,9 @@
 #include <limits>
 #include <memory>
 #include <string>
+#include <vector>
 
+#include "core/cell_octree.h"
 #include "core/lattice.h"
 #include "core/mesh_reader.h"
 #include "core/result.h"
@@ -45,6 +47,8 @@ struct SampleOptions {
   /// More occupied cells than this are an error (kOverBudget), found while they are counted, not
   /// after the memory is gone. Give or take what the workers' caches hold.
   std::uint64_t max_cells = std::numeric_limits<std::uint64_t>::max();
+  /// Occupied cells of a parcel (core/parcels.h), at most; 0 = no parcels are found.
+  std::uint64_t parcel_cells = 0;
 };
 
 /// What happened. Byte counts and times are for people; the rest is a function of surface, options
@@ -76,6 +80,7 @@ struct SampleResult {
 struct SampledMesh {
   SampleStats stats;
   Bounds bounds;                          ///< Of the survivors; world units.
+  std::vector<OctreeNode> parcels;        ///< Of all cells, if options.parcel_cells asks for them.
   std::unique_ptr<SampleSource> samples;  ///< `stats.survivors` of them.
 };
 

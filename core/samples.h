@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "core/cell_octree.h"
 #include "core/result.h"
 #include "core/vec3.h"
 
@@ -57,6 +58,11 @@ struct SampleHeader {
   double edge = 1;            ///< The cell's edge `e`, world units.
   Vec3 lattice_origin;        ///< A corner of the cell (0,0,0); world units.
   Bounds bounds;              ///< Encloses every position; world units.
+  /// Encloses every position, too, and is known before any sample is: the surface's. Tiles' lattice
+  /// of positions is a function of it. Empty = as `bounds`.
+  Bounds surface;
+  /// No tile crosses their borders (core/parcels.h); ascending. Empty = one for everything.
+  std::vector<OctreeNode> parcels;
   double position_error = 0;  ///< Largest distance a lossy format may move a sample, world units.
   std::string provenance;     ///< One line of JSON: version, surface hash, options, seed.
 };

@@ -3,14 +3,18 @@
 
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 
+#include "core/parcels.h"
 #include "core/reservoir_store.h"
 #include "core/sample_mesh.h"
 #include "core/scan.h"
 #include "core/triangle_hash.h"
 
 namespace strata {
+
+struct Partial;
 
 /// What a scan leaves. Of `stats` everything up to the samples is known.
 struct ScannedMesh {
@@ -33,5 +37,14 @@ Result<ScannedMesh> ScanMesh(MeshReader& reader, const SampleOptions& options, c
 /// Decides the samples of a whole surface. Errors: as SampleMesh.
 Result<SampledMesh> GatherSamples(ScannedMesh scanned, const SampleOptions& options,
                                   RunContext& context);
+
+/// Decides those in one region's parcels, with the parcels themselves, from `parts`, which are
+/// together all that GatherSamples would take from the store; the store itself is not used, and may
+/// be null. Over all regions these are the very samples of GatherSamples. Of the stats the counts
+/// of cells and samples, and their area, are the region's. A region may have no parcel: then it has
+/// no source of samples. Errors: as SampleMesh; kCorruptInput for a damaged part.
+Result<SampledMesh> GatherRegion(ScannedMesh scanned, std::span<const Partial> parts,
+                                 const Region& region, const SampleOptions& options,
+                                 RunContext& context);
 
 }  // namespace strata

@@ -41,6 +41,7 @@ Result<void> ScratchFile::WriteAt(std::uint64_t offset, std::string_view bytes) 
 }
 
 Result<void> ScratchFile::ReadAt(std::uint64_t offset, std::span<char> out) const {
+  bytes_read_.fetch_add(out.size(), std::memory_order_relaxed);
   while (!out.empty()) {
     const ssize_t n = pread(fd_, out.data(), out.size(), static_cast<off_t>(offset));
     if (n < 0 && errno == EINTR) continue;

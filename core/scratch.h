@@ -1,6 +1,7 @@
 // Scratch space on disk: what does not fit memory while a job runs.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -40,6 +41,7 @@ class ScratchFile {
   int fd_;
   std::string name_;
   std::uint64_t size_ = 0;
+  mutable std::atomic<std::uint64_t> bytes_read_{0};
 };
 
 /// A file of the user's, for reading alone. Errors: kNotFound, kIo.

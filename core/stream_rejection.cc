@@ -45,16 +45,17 @@ struct Window {
 
 class StreamJob {
  public:
-  StreamJob(std::span<const Cell> blocks, std::uint64_t samples, const GatherOptions& options,
-            std::uint64_t window_bytes, RunContext& context)
-      : blocks_(blocks),
+  StreamJob(const StreamedBlocks& blocks, const GatherOptions& options, std::uint64_t window_bytes,
+            RunContext& context)
+      : blocks_(blocks.places),
+        territory_(blocks.territory),
         options_(options),
         context_(context),
         distance_(options.min_distance * options.lattice.edge),
         bytes_per_sample_(WindowBytesPerSample(options.min_distance)),
         room_(std::max<std::uint64_t>(window_bytes / bytes_per_sample_, 1024)),
-        samples_(samples),
-        survivors_(samples) {}
+        samples_(blocks.samples),
+        survivors_(blocks.samples) {}
 
   Result<Survivors> Run(BlockStream& stream) {
     BlockReservoirs block;
@@ -70,6 +71,7 @@ class StreamJob {
       if (wait_until > room_) return TooSmall();
     }
     if (auto settled = Settle(); !settled) return Forward(settled);
+    NoteUndecided();
     return std::move(survivors_);
   }
 
@@ -100,6 +102,7 @@ class StreamJob {
     if (!fate) return Forward(fate);
     for (std::size_t i = 0; i < window_.size(); ++i) {
       if ((*fate)[i] != kSurvivingSample) continue;
+      if (!Owns(BlockOf(window_.cell[i]))) continue;
       survivors_.Add(window_.number[i]);
       survivors_.bounds.Add(window_.position[i]);
       ++survivors_.count;
@@ -108,10 +111,23 @@ class StreamJob {
     return {};
   }
 
-  // Whether a sample in a block that is still to come may be too close.
+  bool Owns(Cell block) const { return territory_ == nullptr || territory_->Owns(block); }
+
+  void NoteUndecided() {
+    for (const Cell cell : window_.cell) {
+      const Cell block = BlockOf(cell);
+      auto& list = survivors_.undecided;
+      if ((list.empty() || list.back() != block) && Owns(block)) list.push_back(block);
+    }
+  }
+
+  // Whether a sample in a block that is still to come, or never will, may be too close.
   bool IsOpen(std::size_t i) const {
-    if (blocks_read_ == blocks_.size()) return false;
-    if (options_.samples_leave_cells) return true;
+    const bool all_read = blocks_read_ == blocks_.size();
+    if (all_read && territory_ == nullptr) return false;
+    if (options_.samples_leave_cells) {
+      return !all_read || territory_->IsNearBeyond(BlockOf(window_.cell[i]));
+    }
     const Cell block = BlockOf(window_.cell[i]);
     // In cells, from the block's lowest corner. The last digits leave room for rounding. The
     // distance is at most four cells: it reaches into neighbouring blocks only.
@@ -133,7 +149,11 @@ class StreamJob {
   }
   bool IsToCome(Cell block) const {
     const auto rest = blocks_.subspan(blocks_read_);
-    return block >= rest.front() && std::binary_search(rest.begin(), rest.end(), block);
+    if (!rest.empty() && block >= rest.front() &&
+        std::binary_search(rest.begin(), rest.end(), block)) {
+      return true;
+    }
+    return territory_ != nullptr && territory_->IsBeyond(block);
   }
 
   tl::unexpected<Error> TooSmall() const {
@@ -147,6 +167,7 @@ class StreamJob {
   }
 
   std::span<const Cell> blocks_;
+  const Territory* territory_;
   const GatherOptions& options_;
   RunContext& context_;
   double distance_;
@@ -167,10 +188,10 @@ Vec3 PositionOf(const GatherOptions& options, Cell cell, const Reservoir& reserv
   return p;
 }
 
-Result<Survivors> RejectStream(BlockStream& stream, std::span<const Cell> blocks,
-                               std::uint64_t samples, const GatherOptions& options,
-                               std::uint64_t window_bytes, RunContext& context) {
-  return StreamJob(blocks, samples, options, window_bytes, context).Run(stream);
+Result<Survivors> RejectStream(BlockStream& stream, const StreamedBlocks& blocks,
+                               const GatherOptions& options, std::uint64_t window_bytes,
+                               RunContext& context) {
+  return StreamJob(blocks, options, window_bytes, context).Run(stream);
 }
 
 }  // namespace strata

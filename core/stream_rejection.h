@@ -9,6 +9,7 @@
 #include "core/gather.h"
 #include "core/result.h"
 #include "core/run_context.h"
+#include "core/territory.h"
 
 namespace strata {
 
@@ -20,8 +21,10 @@ class Survivors {
   bool Has(std::uint64_t number) const { return (bits_[number / 64] >> (number % 64) & 1) != 0; }
   static std::uint64_t BytesFor(std::uint64_t samples) { return samples / 8 + 8; }
 
-  std::uint64_t count = 0;
-  Bounds bounds;  ///< World units.
+  std::uint64_t count = 0;  ///< Of a territory: its own alone, as the bounds.
+  Bounds bounds;            ///< World units.
+  /// Blocks of a territory whose samples depend on blocks beyond; ascending.
+  std::vector<Cell> undecided;
 
  private:
   std::vector<std::uint64_t> bits_;
@@ -30,15 +33,23 @@ class Survivors {
 /// The sample of a reservoir in world units, kept within the surface's bounds.
 Vec3 PositionOf(const GatherOptions& options, Cell cell, const Reservoir& reservoir);
 
+/// What a stream holds.
+struct StreamedBlocks {
+  std::span<const Cell> places;          ///< Of all its blocks, ascending.
+  std::uint64_t samples = 0;             ///< In all of them.
+  const Territory* territory = nullptr;  ///< Null = these are all the blocks there are.
+};
+
 /// Decides as RejectClosePoints does on all samples at once, which `stream` hands over block by
-/// block. `blocks` are the places of all blocks, ascending; `samples` is their number.
+/// block.
 ///
 /// A component of the conflict graph is settled as soon as none of its samples can be close to one
 /// in a block that is still to come (docs/adr/0009); the others stay in a window of at most
-/// `window_bytes`. Errors: the stream's; kCancelled; kOverBudget when the window is too small for
-/// what hangs together, with the number of bytes it needs at least.
-Result<Survivors> RejectStream(BlockStream& stream, std::span<const Cell> blocks,
-                               std::uint64_t samples, const GatherOptions& options,
-                               std::uint64_t window_bytes, RunContext& context);
+/// `window_bytes`. A component that may reach a block beyond the stream is never settled. Errors:
+/// the stream's; kCancelled; kOverBudget when the window is too small for what hangs together, with
+/// the number of bytes it needs at least.
+Result<Survivors> RejectStream(BlockStream& stream, const StreamedBlocks& blocks,
+                               const GatherOptions& options, std::uint64_t window_bytes,
+                               RunContext& context);
 
 }  // namespace strata

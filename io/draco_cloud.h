@@ -16,7 +16,7 @@ namespace strata::io {
 std::uint64_t DracoEncoderBytes(AttributeSet attributes, std::uint64_t count, int position_bits);
 
 /// Encodes all of `rows`, in their order, to Draco bitstream 2.3 as docs/draco-output.md sets out.
-/// `grid` must hold every position (ChooseFloatGrid or ChooseTileGrids). Of the header it takes
+/// `grid` must hold every position (ChooseFloatGrid or TileGrid). Of the header it takes
 /// attributes, edge, position_error and provenance. Reads the rows once per attribute, and once to
 /// hold the decoded positions against them.
 ///

@@ -28,6 +28,12 @@ double LargestCoordinate(const Bounds& box) {
   return largest;
 }
 
+double LargestExtent(const Bounds& box) {
+  double extent = 0;
+  for (int a = 0; a < 3; ++a) extent = std::max(extent, box.max[a] - box.min[a]);
+  return extent;
+}
+
 // What the subtractions and additions in double may cost along an axis.
 double DoubleSlack(const Bounds& box) { return LargestCoordinate(box) * 0x1p-51; }
 
@@ -63,8 +69,7 @@ std::optional<FloatGrid> TryGrid(const Bounds& box, CutNumber step, int kept, bo
 
 // The step is a power of two here, because that reaches furthest.
 double SmallestError(const Bounds& box) {
-  double extent = 0;
-  for (int a = 0; a < 3; ++a) extent = std::max(extent, box.max[a] - box.min[a]);
+  const double extent = LargestExtent(box);
   int exponent = 0;
   std::frexp(extent / (std::ldexp(1.0, FloatGrid::kMaxBits) - 8), &exponent);
   const double step =
@@ -89,29 +94,18 @@ bool IsFinite(const Bounds& box) {
   return true;
 }
 
-// A grid for every box with the same step, or none.
-std::optional<std::vector<FloatGrid>> TryGrids(std::span<const Bounds> boxes, CutNumber step,
-                                               int kept, bool shifted) {
-  std::vector<FloatGrid> grids;
-  for (const Bounds& box : boxes) {
-    // Else offsets and sums would be rounded.
-    if (LargestCoordinate(box) / step.unit > kExactInDouble) return std::nullopt;
-    const auto grid = TryGrid(box, step, kept, shifted);
-    if (!grid) return std::nullopt;
-    grids.push_back(*grid);
+// Whether every box within `whole` and up to `extent` wide has a grid of this step: what TryGrid
+// asks, of the worst of them.
+bool HasTileGrids(const Bounds& whole, double extent, CutNumber step, const TileLattice& lattice) {
+  const double most = std::ceil(extent / step.value) + 3;
+  const double largest = LargestCoordinate(whole) + 3 * step.value;
+  if (largest / step.unit > kExactInDouble || !(most < std::ldexp(1.0, FloatGrid::kMaxBits))) {
+    return false;
   }
-  return grids;
-}
-
-const Bounds& Widest(std::span<const Bounds> boxes) {
-  const auto extent = [](const Bounds& box) {
-    return std::max({box.max.x - box.min.x, box.max.y - box.min.y, box.max.z - box.min.z});
-  };
-  const Bounds* widest = &boxes.front();
-  for (const Bounds& box : boxes) {
-    if (extent(box) > extent(*widest)) widest = &box;
-  }
-  return *widest;
+  int bits = 1;
+  while (std::ldexp(1.0, bits) - 1 < most) ++bits;
+  if (lattice.kept > 1 && bits + lattice.kept > kInexactInverseBits) return false;
+  return lattice.shifted || (largest / step.unit <= kExactInFloat && largest <= kLargest);
 }
 
 }  // namespace
@@ -150,19 +144,31 @@ Result<FloatGrid> ChooseFloatGrid(const Bounds& box, double max_error, const std
   return FailTooFine(box, max_error, name);
 }
 
-Result<std::vector<FloatGrid>> ChooseTileGrids(const Bounds& whole, std::span<const Bounds> boxes,
-                                               double max_error, const std::string& name) {
-  if (!IsFinite(whole) || boxes.empty()) {
-    return Fail(ErrorCode::kInternal, name + ": the samples' bounds are not a finite box");
+Result<TileLattice> ChooseTileLattice(const Bounds& whole, double max_error,
+                                      const std::string& name) {
+  if (!IsFinite(whole)) {
+    return Fail(ErrorCode::kInternal, name + ": the surface's bounds are not a finite box");
   }
   const double step = LargestGridStep(whole, max_error);
   if (!(step >= kSmallestStep)) return FailTooFine(whole, max_error, name);
+  const double extent = std::min(LargestExtent(whole), kMostTileSteps * step);
   for (const bool shifted : {false, true}) {
     for (int kept = kMaxKeptBits; kept >= 1; --kept) {
-      if (auto grids = TryGrids(boxes, Cut(step, kept), kept, shifted)) return *std::move(grids);
+      const CutNumber cut = Cut(step, kept);
+      const TileLattice lattice{cut.value, cut.unit, kept, shifted};
+      if (HasTileGrids(whole, extent, cut, lattice)) return lattice;
     }
   }
-  return FailTooFine(Widest(boxes), max_error, name);
+  return FailTooFine(whole, max_error, name);
+}
+
+Result<FloatGrid> TileGrid(const TileLattice& lattice, const Bounds& box, const std::string& name) {
+  const auto grid =
+      TryGrid(box, CutNumber{lattice.step, lattice.unit}, lattice.kept, lattice.shifted);
+  if (grid) return *grid;
+  return Fail(ErrorCode::kOverBudget,
+              name + ": its samples lie too far apart for one grid of 32-bit floats; use a larger "
+                     "position error");
 }
 
 }  // namespace strata::io

@@ -46,14 +46,28 @@ Result<FloatGrid> ChooseFloatGrid(const Bounds& box, double max_error, const std
 /// less when rounding in double alone costs more.
 double LargestGridStep(const Bounds& box, double max_error);
 
-/// One grid for each of several boxes within `whole`, all of the same step, which are parts of one
-/// lattice: offset + origin is a whole multiple of the step, and so is every sum offset + value,
-/// which double holds exactly. The same point of the lattice is the same double in every grid.
-/// Origins are used for all boxes or offsets are.
-///
-/// No step is smaller than half of LargestGridStep(whole, max_error): a box up to 2^21 such steps
-/// wide always has a grid, as long as double holds the lattice. Errors: as ChooseFloatGrid.
-Result<std::vector<FloatGrid>> ChooseTileGrids(const Bounds& whole, std::span<const Bounds> boxes,
-                                               double max_error, const std::string& name);
+/// A lattice of positions that many grids are parts of: whole multiples of one step.
+struct TileLattice {
+  double step = 1;
+  double unit = 1;       ///< The weight of the step's last significant bit.
+  int kept = 1;          ///< The step's significant bits.
+  bool shifted = false;  ///< Whether grids have offsets; else they have origins.
+};
+
+/// So many of the largest steps wide a box may always be.
+inline constexpr double kMostTileSteps = 0x1p21;
+
+/// The lattice with the largest step that keeps every point of `whole` within `max_error` and of
+/// which every box within `whole`, up to kMostTileSteps of the largest steps wide, has a grid. A
+/// function of the two alone, so that boxes can be gridded one by one. The step is no smaller than
+/// half of LargestGridStep(whole, max_error). Errors: as ChooseFloatGrid.
+Result<TileLattice> ChooseTileLattice(const Bounds& whole, double max_error,
+                                      const std::string& name);
+
+/// The part of the lattice around `box`, which lies within the lattice's whole: offset + origin is
+/// a whole multiple of the step, and so is every sum offset + value, which double holds exactly.
+/// The same point of the lattice is the same double in every grid.
+/// Errors: kOverBudget for a box that is too wide for the step.
+Result<FloatGrid> TileGrid(const TileLattice& lattice, const Bounds& box, const std::string& name);
 
 }  // namespace strata::io

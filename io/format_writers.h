@@ -38,8 +38,8 @@ Result<std::unique_ptr<SampleWriter>> MakeDracoWriter(std::unique_ptr<AtomicFile
 /// Memory: DracoEncoderBytes of the largest tile in Finish, some hundred bytes a tile, and without
 /// scratch space the samples.
 /// Errors: as MakeDracoWriter's, by tile; kInvalidArgument for a name that no folder can have.
-Result<std::unique_ptr<SampleWriter>> MakeTileWriter(const std::string& path,
-                                                     const SampleHeader& header,
-                                                     const WriterResources& resources);
+Result<std::unique_ptr<SampleWriter>> MakeFolderWriter(const std::string& path,
+                                                       const SampleHeader& header,
+                                                       const WriterResources& resources);
 
 }  // namespace strata::io

@@ -57,7 +57,7 @@ Result<std::unique_ptr<SampleWriter>> OpenSampleWriter(const std::string& path, 
                                                        const WriterResources& resources) {
   if (auto checked = CheckHeader(path, header); !checked) return Forward(checked);
   if (format == SampleFormat::kDraco && header.count > resources.tile_samples) {
-    return MakeTileWriter(path, header, resources);
+    return MakeFolderWriter(path, header, resources);
   }
   // Fewer samples than last time may make a file of what was a folder of tiles.
   auto file = AtomicFile::Open(path, format == SampleFormat::kDraco ? kTilesetName : "");

@@ -9,7 +9,7 @@ constexpr std::size_t kAllBuffers = std::size_t{8} << 20, kLargestBuffer = std::
 
 }  // namespace
 
-TileScatter::TileScatter(Spool& spool, const RowLayout& layout, std::span<const TileNode> tiles)
+TileScatter::TileScatter(Spool& spool, const RowLayout& layout, std::span<const OctreeNode> tiles)
     : spool_(spool), row_bytes_(layout.bytes()), regions_(tiles.size()) {
   const std::size_t each =
       std::min(kAllBuffers / std::max<std::size_t>(tiles.size(), 1), kLargestBuffer);

@@ -6,9 +6,9 @@
 #include <string>
 #include <vector>
 
+#include "core/cell_octree.h"
 #include "io/sample_rows.h"
 #include "io/spool.h"
-#include "io/tile_plan.h"
 
 namespace strata::io {
 
@@ -17,7 +17,7 @@ namespace strata::io {
 /// least a row a tile.
 class TileScatter {
  public:
-  TileScatter(Spool& spool, const RowLayout& layout, std::span<const TileNode> tiles);
+  TileScatter(Spool& spool, const RowLayout& layout, std::span<const OctreeNode> tiles);
 
   /// Errors: kIo.
   Result<void> Put(std::size_t tile, const char* row);

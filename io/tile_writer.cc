@@ -10,36 +10,41 @@
 #include "io/checked_writer.h"
 #include "io/draco_cloud.h"
 #include "io/float_grid.h"
+#include "core/cell_octree.h"
 #include "io/format_writers.h"
 #include "io/output_place.h"
 #include "io/row_spooler.h"
-#include "io/tile_plan.h"
+#include "io/tile_place.h"
 #include "io/tile_scatter.h"
 #include "io/tileset_json.h"
 
 namespace strata::io {
 namespace {
 
-constexpr const char* kTilesFolder = "tiles";
-// Up to as many of the largest steps a tile surely has a grid (ChooseTileGrids).
-constexpr double kMostSteps = 0x1p21;
+// A tile is named for its place in the octree: its level, and its coordinates in nodes of that.
+std::string TilePath(const OctreeNode& node) {
+  const Cell cell = CellOfCode(node.first);
+  std::string path = std::string(kTilesFolder) + "/" + std::to_string(node.level);
+  for (const std::int64_t at : {cell.x, cell.y, cell.z}) {
+    path += "_" + std::to_string(at >> node.level);
+  }
+  return path + ".drc";
+}
 
-std::string TilePath(std::size_t index) {
-  std::string digits = std::to_string(index);
-  digits.insert(0, digits.size() < 6 ? 6 - digits.size() : 0, '0');
-  return std::string(kTilesFolder) + "/" + digits + ".drc";
+const Bounds& SurfaceOf(const SampleHeader& header) {
+  return header.surface.empty() ? header.bounds : header.surface;
 }
 
 // The level of the widest octree node that may be a tile.
 int WidestLevel(const SampleHeader& header) {
-  const double step = LargestGridStep(header.bounds, header.position_error);
-  const double cells = kMostSteps * step / header.edge;
+  const double step = LargestGridStep(SurfaceOf(header), header.position_error);
+  const double cells = kMostTileSteps * step / header.edge;
   return cells > 1 ? std::min(std::ilogb(cells), 31) : 0;
 }
 
 // For the widest tile that there can be.
 std::uint64_t EncoderBytes(const SampleHeader& header, std::uint64_t samples) {
-  const Bounds& box = header.bounds;
+  const Bounds& box = SurfaceOf(header);
   double extent = 0;
   for (int a = 0; a < 3; ++a) extent = std::max(extent, box.max[a] - box.min[a]);
   extent = std::min(extent, std::ldexp(header.edge, WidestLevel(header)));
@@ -49,16 +54,19 @@ std::uint64_t EncoderBytes(const SampleHeader& header, std::uint64_t samples) {
   return DracoEncoderBytes(header.attributes, samples, bits);
 }
 
-TilePlan PlanFor(const SampleHeader& header, std::uint64_t tile_samples) {
-  return {tile_samples, WidestLevel(header), TilePlan::StartLevel(header.bounds, header.edge)};
+OctreePlan PlanFor(const SampleHeader& header, std::uint64_t tile_samples) {
+  const OctreeLimits limits{.most = tile_samples, .widest_level = WidestLevel(header)};
+  if (!header.parcels.empty()) return {limits, header.parcels};
+  return {limits, OctreePlan::StartLevel(SurfaceOf(header), header.edge)};
 }
 
 class TileWriter final : public CheckedWriter {
  public:
-  TileWriter(std::unique_ptr<AtomicFolder> folder, const SampleHeader& header, RowSpooler rows,
-             const WriterResources& resources)
-      : CheckedWriter(folder->name(), header),
-        folder_(std::move(folder)),
+  TileWriter(std::unique_ptr<TilePlace> place, const SampleHeader& header,
+             const TileLattice& lattice, RowSpooler rows, const WriterResources& resources)
+      : CheckedWriter(place->name(), header),
+        place_(std::move(place)),
+        lattice_(lattice),
         rows_(std::move(rows)),
         plan_(PlanFor(header, resources.tile_samples)),
         resources_(resources) {}
@@ -66,7 +74,11 @@ class TileWriter final : public CheckedWriter {
  protected:
   Result<void> Append(const SampleColumns& columns) override try {
     if (auto inside = CheckInside(columns); !inside) return inside;
-    for (const Vec3& p : columns.position) plan_.Add(CodeAt(p));
+    if (columns.cell.empty()) return Append(WithCells(columns));
+    for (const Cell cell : columns.cell) {
+      if (plan_.Add(CodeOf(cell))) continue;
+      return Fail(ErrorCode::kInternal, name() + ": a sample lies outside all parcels");
+    }
     return rows_.Append(columns);
   } catch (const std::bad_alloc&) {
     return FailMemory();
@@ -79,8 +91,7 @@ class TileWriter final : public CheckedWriter {
     if (!share) return Forward(share);
     if (auto scattered = Scatter(); !scattered) return Forward(scattered);
     if (auto written = WriteTiles(); !written) return Forward(written);
-    if (auto finished = folder_->Finish(); !finished) return Forward(finished);
-    return folder_->size();
+    return place_->Finish(entries_);
   } catch (const std::bad_alloc&) {
     return FailMemory();
   }
@@ -92,9 +103,14 @@ class TileWriter final : public CheckedWriter {
                                             " samples; larger tiles are fewer");
   }
 
-  CellCode CodeAt(Vec3 position) const {
-    return CodeOf(CellAt(position, header().lattice_origin, header().edge));
+  SampleColumns WithCells(SampleColumns columns) const {
+    for (const Vec3& p : columns.position) {
+      columns.cell.push_back(CellAt(p, header().lattice_origin, header().edge));
+    }
+    return columns;
   }
+
+  CellCode CodeOfRow(const char* row) const { return CodeOf(rows_.layout().CellOf(row)); }
 
   RowReader AllRows() {
     return {rows_.spool(), rows_.layout(), 0, header().count, resources_.context};
@@ -103,7 +119,7 @@ class TileWriter final : public CheckedWriter {
   Result<void> SettlePlan() {
     for (plan_.Settle(); plan_.unsettled(); plan_.Settle()) {
       auto counted = AllRows().ForEach(
-          [&](const char* row) { plan_.Recount(CodeAt(rows_.layout().Position(row))); });
+          [&](const char* row) { plan_.Add(CodeOfRow(row)); });
       if (!counted) return counted;
     }
     return {};
@@ -111,7 +127,7 @@ class TileWriter final : public CheckedWriter {
 
   std::uint64_t LargestTile() const {
     std::uint64_t largest = 0;
-    for (const TileNode& tile : plan_.tiles()) largest = std::max(largest, tile.count);
+    for (const OctreeNode& tile : plan_.nodes()) largest = std::max(largest, tile.count);
     return largest;
   }
 
@@ -122,15 +138,14 @@ class TileWriter final : public CheckedWriter {
         Spool::Open(resources_.scratch, nullptr, header().count * rows_.layout().bytes(), name());
     if (!spool) return Forward(spool);
     by_tile_ = std::move(*spool);
-    TileScatter scatter(*by_tile_, rows_.layout(), plan_.tiles());
+    boxes_.resize(plan_.nodes().size());
+    TileScatter scatter(*by_tile_, rows_.layout(), plan_.nodes());
     const std::size_t row_bytes = rows_.layout().bytes();
     std::uint64_t done = 0;
     auto moved = AllRows().ForEachPortion([&](std::span<const char> rows) -> Result<void> {
       for (std::size_t at = 0; at < rows.size(); at += row_bytes) {
-        const Vec3 position = rows_.layout().Position(rows.data() + at);
-        const std::size_t tile = plan_.TileOf(CodeAt(position));
-        boxes_.resize(plan_.tiles().size());
-        boxes_[tile].Add(position);
+        const std::size_t tile = plan_.NodeOf(CodeOfRow(rows.data() + at));
+        boxes_[tile].Add(rows_.layout().Position(rows.data() + at));
         if (auto put = scatter.Put(tile, rows.data() + at); !put) return put;
       }
       rows_.spool().DiscardBefore(done += rows.size());
@@ -141,47 +156,69 @@ class TileWriter final : public CheckedWriter {
   }
 
   Result<void> WriteTiles() {
-    const auto grids = ChooseTileGrids(header().bounds, boxes_, header().position_error, name());
-    if (!grids) return Forward(grids);
-    if (auto made = folder_->AddFolder(kTilesFolder); !made) return made;
-    TilesetJson tileset(header(), resources_.tile_samples, grids->front().step);
     std::uint64_t first = 0;
-    for (std::size_t k = 0; k < boxes_.size(); ++k) {
-      const std::uint64_t count = plan_.tiles()[k].count;
+    for (std::size_t k = 0; k < plan_.nodes().size(); ++k) {
+      const std::uint64_t count = plan_.nodes()[k].count;
       RowReader rows(*by_tile_, rows_.layout(), first, count, resources_.context);
-      if (auto written = WriteTile(k, rows, (*grids)[k], tileset); !written) return written;
+      if (auto written = WriteTile(k, rows); !written) return written;
       rows.Discard();
       first += count;
     }
-    return folder_->AddFile(kTilesetName, tileset.Finish());
+    return {};
   }
 
-  Result<void> WriteTile(std::size_t k, const RowReader& rows, const FloatGrid& grid,
-                         TilesetJson& tileset) {
-    const std::string path = TilePath(k);
-    const auto bytes = EncodeDracoCloud(rows, grid, header(), name() + ": " + path);
+  Result<void> WriteTile(std::size_t k, const RowReader& rows) {
+    const std::string path = TilePath(plan_.nodes()[k]);
+    const auto grid = TileGrid(lattice_, boxes_[k], name() + ": " + path);
+    if (!grid) return Forward(grid);
+    const auto bytes = EncodeDracoCloud(rows, *grid, header(), name() + ": " + path);
     if (!bytes) return Forward(bytes);
-    if (auto added = tileset.Add(path, rows.count(), *bytes, grid, boxes_[k]); !added) return added;
-    return folder_->AddFile(path, {bytes->data(), bytes->size()});
+    auto entry = TileEntry({path, rows.count(), *bytes}, *grid, boxes_[k]);
+    if (!entry) return Forward(entry);
+    entries_.push_back(std::move(*entry));
+    return place_->AddTile(path, {bytes->data(), bytes->size()});
   }
 
-  std::unique_ptr<AtomicFolder> folder_;
+  std::unique_ptr<TilePlace> place_;
+  TileLattice lattice_;
   RowSpooler rows_;                 // As they came.
   std::unique_ptr<Spool> by_tile_;  // The same rows, tile after tile.
-  TilePlan plan_;
-  std::vector<Bounds> boxes_;  // Of each tile's samples.
+  OctreePlan plan_;
+  std::vector<Bounds> boxes_;         // Of each tile's samples.
+  std::vector<std::string> entries_;  // Of the manifest.
   WriterResources resources_;
 };
 
-Result<void> CheckTiled(const std::string& path, const SampleHeader& header,
-                        const WriterResources& resources) {
-  const std::string name = path == "-" ? "standard output" : path;
-  if (IsWrittenThrough(path)) {
-    return Fail(ErrorCode::kInvalidArgument,
-                name + ": " + std::to_string(header.count) + " samples, but one drc holds " +
-                    std::to_string(resources.tile_samples) +
-                    ", and more become a folder, which needs a name; use larger tiles, or ply");
+// A folder of tiles that appears whole.
+class WholeFolder final : public TilePlace {
+ public:
+  WholeFolder(std::unique_ptr<AtomicFolder> folder, std::string head)
+      : folder_(std::move(folder)), head_(std::move(head)) {}
+
+  Result<void> AddTile(const std::string& path, std::string_view bytes) override {
+    if (!std::exchange(has_tiles_, true)) {
+      if (auto made = folder_->AddFolder(kTilesFolder); !made) return made;
+    }
+    return folder_->AddFile(path, bytes);
   }
+  Result<std::uint64_t> Finish(const std::vector<std::string>& entries) override {
+    auto done = folder_->AddFile(kTilesetName, TilesetText(head_, entries));
+    if (done) done = folder_->Finish();
+    if (!done) return Forward(done);
+    return folder_->size();
+  }
+  const std::string& name() const override { return folder_->name(); }
+
+ private:
+  std::unique_ptr<AtomicFolder> folder_;
+  std::string head_;
+  bool has_tiles_ = false;
+};
+
+}  // namespace
+
+Result<void> CheckTiles(const std::string& name, const SampleHeader& header,
+                        const WriterResources& resources) {
   if (resources.tile_samples == 0 || resources.tile_samples > kMostTileSamples) {
     return Fail(ErrorCode::kInvalidArgument,
                 name + ": found tiles of " + std::to_string(resources.tile_samples) +
@@ -192,24 +229,48 @@ Result<void> CheckTiled(const std::string& path, const SampleHeader& header,
       !(header.edge > 0)) {
     return Fail(ErrorCode::kInternal, name + ": the header's lattice is none");
   }
+  const auto lattice = ChooseTileLattice(SurfaceOf(header), header.position_error, name);
+  if (!lattice) return Forward(lattice);
   return CheckEncoderMemory(resources.memory, EncoderBytes(header, resources.tile_samples), name);
 }
 
-}  // namespace
+Result<std::string> HeadOfTiles(const std::string& name, const SampleHeader& header,
+                                std::uint64_t tile_samples) {
+  const auto lattice = ChooseTileLattice(SurfaceOf(header), header.position_error, name);
+  if (!lattice) return Forward(lattice);
+  return TilesetHead(header, tile_samples, lattice->step);
+}
 
-Result<std::unique_ptr<SampleWriter>> MakeTileWriter(const std::string& path,
+Result<std::unique_ptr<SampleWriter>> MakeTileWriter(std::unique_ptr<TilePlace> place,
                                                      const SampleHeader& header,
                                                      const WriterResources& resources) {
-  if (auto checked = CheckTiled(path, header, resources); !checked) return Forward(checked);
-  // The smallest of boxes: is the error possible at all?
-  const Bounds corner{header.bounds.min, header.bounds.min};
-  const auto grid = ChooseTileGrids(header.bounds, {&corner, 1}, header.position_error, path);
-  if (!grid) return Forward(grid);
+  const auto lattice = ChooseTileLattice(SurfaceOf(header), header.position_error, place->name());
+  if (!lattice) return Forward(lattice);
+  // Rows carry the cell, whether the file will or not.
+  SampleHeader of_rows = header;
+  of_rows.attributes |= kCell;
+  auto rows = RowSpooler::Open(of_rows, resources, place->name());
+  if (!rows) return Forward(rows);
+  return std::make_unique<TileWriter>(std::move(place), header, *lattice, std::move(*rows),
+                                      resources);
+}
+
+Result<std::unique_ptr<SampleWriter>> MakeFolderWriter(const std::string& path,
+                                                       const SampleHeader& header,
+                                                       const WriterResources& resources) {
+  if (IsWrittenThrough(path)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                (path == "-" ? "standard output" : path) + ": " + std::to_string(header.count) +
+                    " samples, but one drc holds " + std::to_string(resources.tile_samples) +
+                    ", and more become a folder, which needs a name; use larger tiles, or ply");
+  }
+  if (auto checked = CheckTiles(path, header, resources); !checked) return Forward(checked);
+  auto head = HeadOfTiles(path, header, resources.tile_samples);
+  if (!head) return Forward(head);
   auto folder = AtomicFolder::Open(path, kTilesetName);
   if (!folder) return Forward(folder);
-  auto rows = RowSpooler::Open(header, resources, path);
-  if (!rows) return Forward(rows);
-  return std::make_unique<TileWriter>(std::move(*folder), header, std::move(*rows), resources);
+  return MakeTileWriter(std::make_unique<WholeFolder>(std::move(*folder), std::move(*head)), header,
+                        resources);
 }
 
 }  // namespace strata::io

@@ -1,5 +1,6 @@
 #include "io/tileset_json.h"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <utility>
@@ -35,7 +36,7 @@ Json FirstStep(const FloatGrid& grid) {
 
 }  // namespace
 
-TilesetJson::TilesetJson(const SampleHeader& header, std::uint64_t tile_samples, double step) {
+std::string TilesetHead(const SampleHeader& header, std::uint64_t tile_samples, double step) {
   Json names = Json::array({"position"});
   for (std::size_t k = 0; k < kAttributeNames.size(); ++k) {
     if ((header.attributes >> k & 1) != 0) names.push_back(kAttributeNames[k]);
@@ -50,29 +51,44 @@ TilesetJson::TilesetJson(const SampleHeader& header, std::uint64_t tile_samples,
       {"position_error", header.position_error},
       {"position_step", step},
       {"tile_samples", tile_samples}};
-  text_ = Dump(head, 1);
-  text_.resize(text_.size() - 2);  // Without "\n}": more follows.
-  text_ += ",\n \"tiles\": [";
+  std::string text = Dump(head, 1);
+  text.resize(text.size() - 2);  // Without "\n}": more follows.
+  return text + ",\n \"tiles\": [";
 }
 
-Result<void> TilesetJson::Add(const std::string& path, std::uint64_t count,
-                              std::span<const char> bytes, const FloatGrid& grid,
-                              const Bounds& box) {
-  std::string hash = Sha256Hex(bytes);
-  if (hash.empty()) return Fail(ErrorCode::kInternal, path + ": no SHA-256 can be made");
+Result<std::string> TileEntry(const TileFile& tile, const FloatGrid& grid, const Bounds& box) {
+  std::string hash = Sha256Hex(tile.bytes);
+  if (hash.empty()) return Fail(ErrorCode::kInternal, tile.path + ": no SHA-256 can be made");
   // Rounding to the grid keeps order, so the box's corners become the decoded box's.
-  const Json tile = {{"path", path},
-                     {"count", count},
-                     {"bytes", bytes.size()},
-                     {"sha256", std::move(hash)},
-                     {"min", ToJson(Decoded(grid, box.min))},
-                     {"max", ToJson(Decoded(grid, box.max))},
-                     {"first_step", FirstStep(grid)}};
-  text_ += std::exchange(first_, false) ? "\n  " : ",\n  ";
-  text_ += Dump(tile, -1);
-  return {};
+  const Json entry = {{"path", tile.path},
+                      {"count", tile.count},
+                      {"bytes", tile.bytes.size()},
+                      {"sha256", std::move(hash)},
+                      {"min", ToJson(Decoded(grid, box.min))},
+                      {"max", ToJson(Decoded(grid, box.max))},
+                      {"first_step", FirstStep(grid)}};
+  return Dump(entry, -1);
 }
 
-std::string TilesetJson::Finish() { return std::move(text_) + "\n ]\n}\n"; }
+std::string TilesetText(std::string head, std::span<const std::string> entries) {
+  const char* separator = "\n  ";
+  for (const std::string& entry : entries) {
+    head += separator;
+    head += entry;
+    separator = ",\n  ";
+  }
+  return head + "\n ]\n}\n";
+}
+
+bool BeginsWithHead(std::string_view text, std::string_view head) {
+  // Before it stands nothing but the provenance, in which a quote is escaped.
+  constexpr std::string_view kCount = "\n \"count\": ";
+  const std::size_t count = head.find(kCount) + kCount.size();
+  if (text.substr(0, count) != head.substr(0, count)) return false;
+  const auto after_digits = [](std::string_view from) {
+    return from.substr(std::min(from.find_first_not_of("0123456789"), from.size()));
+  };
+  return after_digits(text.substr(count)).starts_with(after_digits(head.substr(count)));
+}
 
 }  // namespace strata::io

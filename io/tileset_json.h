@@ -4,28 +4,30 @@
 #include <cstdint>
 #include <span>
 #include <string>
+#include <string_view>
 
 #include "core/samples.h"
 #include "io/float_grid.h"
 
 namespace strata::io {
 
-/// Collects the text of tileset.json, tile by tile. Memory: the text, about 400 bytes a tile.
-class TilesetJson {
- public:
-  /// `step` is that of every tile's grid.
-  TilesetJson(const SampleHeader& header, std::uint64_t tile_samples, double step);
+/// A manifest up to its tiles. `step` is that of every tile's grid; `header.count` is the number of
+/// samples in all tiles.
+std::string TilesetHead(const SampleHeader& header, std::uint64_t tile_samples, double step);
 
-  /// `bytes` is the tile's file, `box` encloses the samples it was made of.
-  /// Errors: kInternal when no hash can be made.
-  Result<void> Add(const std::string& path, std::uint64_t count, std::span<const char> bytes,
-                   const FloatGrid& grid, const Bounds& box);
-  /// The whole text. To be called once.
-  std::string Finish();
-
- private:
-  std::string text_;
-  bool first_ = true;
+/// A tile's entry, one line. `bytes` is its file, `box` encloses the samples it was made of. Errors:
+/// kInternal when no hash can be made.
+struct TileFile {
+  std::string path;
+  std::uint64_t count = 0;
+  std::span<const char> bytes;
 };
+Result<std::string> TileEntry(const TileFile& tile, const FloatGrid& grid, const Bounds& box);
+
+/// The whole manifest, from its head and entries in the order of the tiles.
+std::string TilesetText(std::string head, std::span<const std::string> entries);
+
+/// Whether `text` begins as a manifest does whose head is `head`, whatever the number of samples.
+bool BeginsWithHead(std::string_view text, std::string_view head);
 
 }  // namespace strata::io
