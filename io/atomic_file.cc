@@ -40,6 +40,18 @@ Result<std::unique_ptr<AtomicFile>> AtomicFile::Open(const std::string& path,
   return file;
 }
 
+Result<std::unique_ptr<AtomicFile>> AtomicFile::OpenIn(int folder, const std::string& name,
+                                                       const std::string& shown) {
+  std::unique_ptr<AtomicFile> file(new AtomicFile);
+  file->buffer_.reserve(kBufferBytes);
+  file->name_ = shown;
+  file->folder_ = openat(folder, ".", O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (file->folder_ < 0) return file->FailIo("cannot open its folder", errno);
+  file->can_sync_folder_ = true;
+  if (auto opened = file->OpenInFolder(name, {}); !opened) return Forward(opened);
+  return file;
+}
+
 Result<void> AtomicFile::OpenDirect(int fd) {
   if (fd < 0) return FailIo("cannot open for writing", errno);
   fd_ = fd;
@@ -58,6 +70,10 @@ Result<void> AtomicFile::OpenReplacing(const std::string& target, const std::str
     folder_ = open(folder.c_str(), O_PATH | O_DIRECTORY | O_CLOEXEC);
   }
   if (folder_ < 0) return FailIo("cannot open its folder '" + folder + "'", errno);
+  return OpenInFolder(base, folder_mark);
+}
+
+Result<void> AtomicFile::OpenInFolder(const std::string& base, const std::string& folder_mark) {
   struct stat status;
   const bool exists = fstatat(folder_, base.c_str(), &status, 0) == 0;
   const bool is_folder = exists && S_ISDIR(status.st_mode);

@@ -34,6 +34,11 @@ class AtomicFile {
   static Result<std::unique_ptr<AtomicFile>> Open(const std::string& path,
                                                   const std::string& folder_mark = {});
 
+  /// A file `name` of the open folder `folder`, wherever that has come to stand; `shown` is its name
+  /// in messages. Errors: as Open.
+  static Result<std::unique_ptr<AtomicFile>> OpenIn(int folder, const std::string& name,
+                                                    const std::string& shown);
+
   /// Without Finish, removes the temporary file.
   ~AtomicFile();
   AtomicFile(const AtomicFile&) = delete;
@@ -56,6 +61,7 @@ class AtomicFile {
   AtomicFile() = default;
   Result<void> OpenDirect(int fd);
   Result<void> OpenReplacing(const std::string& target, const std::string& folder_mark);
+  Result<void> OpenInFolder(const std::string& base, const std::string& folder_mark);
   Result<void> CreateTemporary(const std::string& base, TemporaryKind kind);
   Result<void> Flush();
   Result<void> WriteThrough(std::string_view bytes);

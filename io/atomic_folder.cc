@@ -39,18 +39,9 @@ Result<void> AtomicFolder::OpenBeside(const std::string& target, const std::stri
 }
 
 Result<void> AtomicFolder::CheckReplaceable(const std::string& mark) {
-  struct stat status;
-  if (fstatat(parent_, final_name_.c_str(), &status, AT_SYMLINK_NOFOLLOW) != 0) return {};
-  if (S_ISREG(status.st_mode)) return {};
-  if (!S_ISDIR(status.st_mode)) {
-    return Fail(ErrorCode::kInvalidArgument,
-                name_ + ": found a device or pipe, expected a name " + "for a folder");
-  }
-  if (IsMarkedFolder(parent_, final_name_, mark)) return {};
-  if (IsEmptyFolder(parent_, final_name_.c_str())) return {};
-  return Fail(ErrorCode::kInvalidArgument,
-              name_ + ": found a folder without '" + mark +
-                  "', expected a free name, a file, or a folder of tiles to replace");
+  const std::string why_not = WhyNotReplaceable(parent_, final_name_, mark);
+  if (why_not.empty()) return {};
+  return Fail(ErrorCode::kInvalidArgument, name_ + ": " + why_not);
 }
 
 Result<void> AtomicFolder::CreateTemporary() {
@@ -97,22 +88,36 @@ Result<void> AtomicFolder::AddFile(const std::string& name, std::string_view byt
                 error);
 }
 
-Result<void> AtomicFolder::SyncFolder(const std::string& name) {
-  const int folder = openat(fd_, name.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  const int error = folder < 0 || (fsync(folder) != 0 && errno != EINVAL) ? errno : 0;
-  if (folder >= 0) close(folder);
+Result<void> AtomicFolder::Sync() {
+  int error = SyncFolder(fd_, ".");
+  for (const std::string& inner : folders_) {
+    if (error == 0) error = SyncFolder(fd_, inner.c_str());
+  }
   return error == 0 ? Result<void>() : FailIo("cannot sync to disk", error);
 }
 
 Result<void> AtomicFolder::Finish() {
   if (temporary_.empty()) return Fail(ErrorCode::kInternal, name_ + ": finished twice");
-  Result<void> done = SyncFolder(".");
-  for (const std::string& inner : folders_) {
-    if (done) done = SyncFolder(inner);
-  }
+  Result<void> done = Sync();
   if (done) done = Publish();
   Discard();
   return done;
+}
+
+Result<bool> AtomicFolder::FinishIfFree() {
+  if (temporary_.empty()) return Fail(ErrorCode::kInternal, name_ + ": finished twice");
+  auto synced = Sync();
+  const bool free =
+      synced && renameat(parent_, temporary_.c_str(), parent_, final_name_.c_str()) == 0;
+  const int error = free ? 0 : errno;
+  if (free) {
+    UnregisterTemporary(parent_, std::exchange(temporary_, {}));
+    if (fsync(parent_) != 0 && errno != EINVAL) synced = FailIo("cannot sync its folder", errno);
+  }
+  Discard();
+  if (!synced) return Forward(synced);
+  if (free || error == ENOTEMPTY || error == EEXIST || error == ENOTDIR) return free;
+  return FailIo("cannot give the finished folder its name", error);
 }
 
 Result<void> AtomicFolder::Publish() {

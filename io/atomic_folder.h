@@ -41,6 +41,9 @@ class AtomicFolder {
   /// Syncs, gives the folder its final name, and removes what had it. Errors: kIo; then nothing
   /// has changed under the final name, but for the last sync, as in AtomicFile.
   Result<void> Finish();
+  /// As Finish where nothing but an empty folder has the name; otherwise removes what was written
+  /// and returns false. In one step: of several processes one succeeds.
+  Result<bool> FinishIfFree();
 
   /// The name as the caller gave it, for messages.
   const std::string& name() const { return name_; }
@@ -52,7 +55,7 @@ class AtomicFolder {
   Result<void> OpenBeside(const std::string& target, const std::string& mark);
   Result<void> CheckReplaceable(const std::string& mark);
   Result<void> CreateTemporary();
-  Result<void> SyncFolder(const std::string& name);
+  Result<void> Sync();
   Result<void> Publish();
   void Discard();
   tl::unexpected<Error> FailIo(const std::string& what, int error) const;

@@ -150,15 +150,20 @@ void RemoveLeftovers(int folder, KindOfName kind) {
 }
 
 Replacement GiveFinalName(int parent, const std::string& temporary, const std::string& final_name) {
-  const char *from = temporary.c_str(), *to = final_name.c_str();
-  if (renameat(parent, from, parent, to) == 0) return {};
+  return GiveFinalName(parent, temporary, parent, final_name);
+}
+
+Replacement GiveFinalName(int from, const std::string& temporary, int parent,
+                          const std::string& final_name) {
+  const char *old = temporary.c_str(), *to = final_name.c_str();
+  if (renameat(from, old, parent, to) == 0) return {};
   if (errno != EISDIR && errno != ENOTDIR && errno != ENOTEMPTY && errno != EEXIST)
     return {errno, {}};
-  if (renameat2(parent, from, parent, to, RENAME_EXCHANGE) == 0) return {0, temporary};
+  if (renameat2(from, old, parent, to, RENAME_EXCHANGE) == 0) return {0, temporary};
   if (errno != EINVAL && errno != ENOSYS) return {errno, {}};
   const std::string replaced = NewTemporaryName(final_name, TemporaryKind::kFolder);
   if (renameat(parent, to, parent, replaced.c_str()) != 0) return {errno, {}};
-  if (renameat(parent, from, parent, to) == 0) return {0, replaced};
+  if (renameat(from, old, parent, to) == 0) return {0, replaced};
   const int error = errno;
   renameat(parent, replaced.c_str(), parent, to);
   return {error, {}};
@@ -176,6 +181,31 @@ bool IsEmptyFolder(int parent, const char* name) {
   const bool empty = NamesIn(fd).empty();
   close(fd);
   return empty;
+}
+
+std::string WhyNotReplaceable(int parent, const std::string& name, const std::string& mark) {
+  struct stat status;
+  if (fstatat(parent, name.c_str(), &status, AT_SYMLINK_NOFOLLOW) != 0) return {};
+  if (S_ISREG(status.st_mode)) return {};
+  if (!S_ISDIR(status.st_mode)) {
+    return "found a device or pipe, expected a name for a folder";
+  }
+  if (IsMarkedFolder(parent, name, mark) || IsEmptyFolder(parent, name.c_str())) return {};
+  return "found a folder without '" + mark +
+         "', expected a free name, a file, or a folder of tiles to replace";
+}
+
+int SyncFolder(int parent, const char* name) {
+  const int folder = openat(parent, name, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  const int error = folder < 0 || (fsync(folder) != 0 && errno != EINVAL) ? errno : 0;
+  if (folder >= 0) close(folder);
+  return error;
+}
+
+std::vector<std::string> NamesWith(int folder, std::string_view prefix) {
+  auto names = NamesIn(folder, IsInside);
+  std::erase_if(names, [&](const std::string& name) { return !name.starts_with(prefix); });
+  return names;
 }
 
 void RemoveTree(int parent, const char* name) {

@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 namespace strata::io {
 
@@ -44,6 +45,20 @@ struct Replacement {
   std::string replaced;  ///< Where the old one stands now, to be removed; empty: nowhere.
 };
 Replacement GiveFinalName(int parent, const std::string& temporary, const std::string& final_name);
+/// The same for what stands under `temporary` in the folder `from`. A name to be removed that is
+/// `temporary` stands in `from`, any other in `parent`.
+Replacement GiveFinalName(int from, const std::string& temporary, int parent,
+                          const std::string& final_name);
+
+/// Why a folder of results that hold a file named `mark` may not have the name `name` in `parent`,
+/// or nothing: it may replace a file, an empty folder and a folder with such a file.
+std::string WhyNotReplaceable(int parent, const std::string& name, const std::string& mark);
+
+/// Syncs the folder `name` in `parent` to disk. Returns 0 or an errno.
+int SyncFolder(int parent, const char* name);
+
+/// The names in an open folder that begin with `prefix`, in no order.
+std::vector<std::string> NamesWith(int folder, std::string_view prefix);
 
 /// Whether `name` in `parent` is a folder that holds a file named `mark`.
 bool IsMarkedFolder(int parent, const std::string& name, const std::string& mark);

@@ -11,6 +11,7 @@ target_sources(strata_io PRIVATE
   ${CMAKE_CURRENT_LIST_DIR}/output_place.cc
   ${CMAKE_CURRENT_LIST_DIR}/picture.cc
   ${CMAKE_CURRENT_LIST_DIR}/ply_writer.cc
+  ${CMAKE_CURRENT_LIST_DIR}/region_folder.cc
   ${CMAKE_CURRENT_LIST_DIR}/row_spooler.cc
   ${CMAKE_CURRENT_LIST_DIR}/sample_rows.cc
   ${CMAKE_CURRENT_LIST_DIR}/sample_writer.cc
