@@ -184,9 +184,9 @@ void OctreePlan::Split(Counts::const_iterator begin, Counts::const_iterator end,
 }
 
 std::size_t FindNode(std::span<const OctreeNode> nodes, CellCode code) {
-  const auto after = std::upper_bound(
-      nodes.begin(), nodes.end(), code,
-      [](CellCode c, const OctreeNode& node) { return c < node.first; });
+  const auto after =
+      std::upper_bound(nodes.begin(), nodes.end(), code,
+                       [](CellCode c, const OctreeNode& node) { return c < node.first; });
   const auto found = static_cast<std::size_t>(after - nodes.begin());
   return found > 0 && nodes[found - 1].Holds(code) ? found - 1 : nodes.size();
 }

@@ -268,7 +268,8 @@ Result<Gathered> PassJob::Run() {
   MemoryShare share;
   const Stopwatch watch;
   if (options_.min_distance > 0) {
-    auto bits = context_.memory().Take(Survivors::BytesFor(overview->samples), "the list of survivors");
+    auto bits =
+        context_.memory().Take(Survivors::BytesFor(overview->samples), "the list of survivors");
     if (!bits) return Forward(bits);
     share = std::move(*bits);
     auto found = Reject(*overview);
@@ -282,9 +283,9 @@ Result<Gathered> PassJob::Run() {
   out.reject_seconds = watch.seconds();
   auto stream = store_->Blocks(context_.memory());
   if (!stream) return Forward(stream);
-  out.samples = std::make_unique<PassSource>(std::move(store_), std::move(*stream),
-                                             std::move(survivors), std::move(share), options_,
-                                             std::move(territory_));
+  out.samples =
+      std::make_unique<PassSource>(std::move(store_), std::move(*stream), std::move(survivors),
+                                   std::move(share), options_, std::move(territory_));
   return out;
 }
 

@@ -146,8 +146,7 @@ Result<Choice> RegionJob::Choose() const {
     choice.frames.push_back(std::move(frames));
   }
   std::sort(choice.beyond.begin(), choice.beyond.end());
-  choice.beyond.erase(std::unique(choice.beyond.begin(), choice.beyond.end()),
-                      choice.beyond.end());
+  choice.beyond.erase(std::unique(choice.beyond.begin(), choice.beyond.end()), choice.beyond.end());
   return choice;
 }
 
@@ -172,11 +171,10 @@ Result<Gathered> RegionJob::Gather() {
   auto territory = std::make_unique<Territory>(mine_, std::move(choice->beyond), reach_);
   auto gathered = GatherInPasses(std::move(store), options_, context_, std::move(territory));
   if (gathered && gathered->cells != cells_) {
-    return Fail(ErrorCode::kCorruptInput, parts_.front().file->name() +
-                                              " and the other parts hold " +
-                                              std::to_string(gathered->cells) +
-                                              " cells of the region; their indexes say " +
-                                              std::to_string(cells_));
+    return Fail(ErrorCode::kCorruptInput,
+                parts_.front().file->name() + " and the other parts hold " +
+                    std::to_string(gathered->cells) + " cells of the region; their indexes say " +
+                    std::to_string(cells_));
   }
   return gathered;
 }

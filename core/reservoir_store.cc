@@ -118,7 +118,8 @@ void ReservoirStore::Checkpoint(SaveRuns save) {
       });
 }
 
-Result<void> ReservoirStore::WriteCheckpoint(const ReservoirGrid& frozen, std::vector<StoredRun> held) {
+Result<void> ReservoirStore::WriteCheckpoint(const ReservoirGrid& frozen,
+                                             std::vector<StoredRun> held) {
   if (frozen.size() > 0) {
     const auto run = WriteRun(*frozen.Blocks());
     if (!run) return Forward(run);

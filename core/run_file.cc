@@ -188,8 +188,8 @@ Result<RunExtent> RunWriter::Finish() {
   const std::uint64_t directory = extent_.bytes;
   if (written) written = WriteDirectory();
   const std::uint64_t last = extent_.bytes;
-  const EndContent end{{kIsEnd, 0, 0, 0}, extent_.blocks, extent_.cells, index_.spread(),
-                       last - directory};
+  const EndContent end{
+      {kIsEnd, 0, 0, 0}, extent_.blocks, extent_.cells, index_.spread(), last - directory};
   if (written) written = WriteCompressed({reinterpret_cast<const char*>(&end), sizeof end});
   const auto trailer = static_cast<RunTrailer>(extent_.bytes - last);
   if (written) written = Put({reinterpret_cast<const char*>(&trailer), sizeof trailer});

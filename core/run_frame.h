@@ -1,5 +1,5 @@
-// Frames: what a run consists of on disk. For the files that write and read runs; docs/run-format.md
-// has the layout.
+// Frames: what a run consists of on disk. For the files that write and read runs;
+// docs/run-format.md has the layout.
 #pragma once
 
 #include <cstdint>

@@ -101,8 +101,8 @@ Result<void> RunIndex::ReadPart() {
   const std::uint64_t part = parts_[next_part_++];
   if (auto read = frame_->Read(part); !read) return read;
   const ContentHeader& header = frame_->header();
-  if (header.flags != kIsIndex || header.blocks == 0 ||
-      header.blocks > kMostBlocksPerIndex || header.frames > header.blocks ||
+  if (header.flags != kIsIndex || header.blocks == 0 || header.blocks > kMostBlocksPerIndex ||
+      header.frames > header.blocks ||
       frame_->content().size() != BytesOfPart(header.blocks, header.frames)) {
     return frame_->Damaged("its index is none");
   }

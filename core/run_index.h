@@ -1,4 +1,5 @@
-// The index of a run: which blocks it holds, which cells of them, and where, without the reservoirs.
+// The index of a run: which blocks it holds, which cells of them, and where, without the
+// reservoirs.
 #pragma once
 
 #include <bit>
@@ -24,7 +25,8 @@ struct IndexedBlock {
   std::uint64_t frame = 0;  ///< The byte of the file at which the frame with its reservoirs starts.
 };
 
-/// What a reader of an index holds in memory at most, in bytes, beside 8 bytes for every 128 blocks.
+/// What a reader of an index holds in memory at most, in bytes, beside 8 bytes for every 128
+/// blocks.
 inline constexpr std::uint64_t kIndexBufferBytes = 100 << 10;
 
 /// Reads the index of one run from front to back, any number of times. Threads: one.

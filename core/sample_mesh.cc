@@ -19,8 +19,8 @@
 #include "core/checkpoint.h"
 #include "core/enclosing_ball.h"
 #include "core/gather.h"
-#include "core/region.h"
 #include "core/race.h"
+#include "core/region.h"
 #include "core/rejection.h"
 #include "core/reservoir_grid.h"
 #include "core/scan.h"
@@ -469,8 +469,7 @@ Result<SampledMesh> GatherRegion(ScannedMesh scanned, std::span<const Partial> p
                                  const Region& region, const SampleOptions& options,
                                  RunContext& context) {
   return InArena(options, [&]() -> Result<SampledMesh> {
-    auto gathered =
-        GatherPartials(parts, region, GatherOptionsOf(scanned.stats, options), context);
+    auto gathered = GatherPartials(parts, region, GatherOptionsOf(scanned.stats, options), context);
     if (!gathered) return Forward(gathered);
     return Sampled(std::move(scanned.stats), std::move(*gathered));
   });

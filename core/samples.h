@@ -55,9 +55,9 @@ class SampleSource {
 struct SampleHeader {
   std::uint64_t count = 0;  ///< Samples that will be written.
   AttributeSet attributes = kNormal;
-  double edge = 1;            ///< The cell's edge `e`, world units.
-  Vec3 lattice_origin;        ///< A corner of the cell (0,0,0); world units.
-  Bounds bounds;              ///< Encloses every position; world units.
+  double edge = 1;      ///< The cell's edge `e`, world units.
+  Vec3 lattice_origin;  ///< A corner of the cell (0,0,0); world units.
+  Bounds bounds;        ///< Encloses every position; world units.
   /// Encloses every position, too, and is known before any sample is: the surface's. Tiles' lattice
   /// of positions is a function of it. Empty = as `bounds`.
   Bounds surface;

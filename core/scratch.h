@@ -34,6 +34,8 @@ class ScratchFile {
   void Discard(std::uint64_t offset, std::uint64_t length);
   std::uint64_t size() const { return size_; }
   const std::string& name() const { return name_; }
+  /// What ReadAt has read so far, bytes.
+  std::uint64_t bytes_read() const { return bytes_read_.load(std::memory_order_relaxed); }
   /// The descriptor, which the caller closes. The file is not used any more.
   int Release() { return std::exchange(fd_, -1); }
 

@@ -34,8 +34,8 @@ class AtomicFile {
   static Result<std::unique_ptr<AtomicFile>> Open(const std::string& path,
                                                   const std::string& folder_mark = {});
 
-  /// A file `name` of the open folder `folder`, wherever that has come to stand; `shown` is its name
-  /// in messages. Errors: as Open.
+  /// A file `name` of the open folder `folder`, wherever that has come to stand; `shown` is its
+  /// name in messages. Errors: as Open.
   static Result<std::unique_ptr<AtomicFile>> OpenIn(int folder, const std::string& name,
                                                     const std::string& shown);
 

@@ -167,8 +167,9 @@ Result<FloatGrid> TileGrid(const TileLattice& lattice, const Bounds& box, const 
       TryGrid(box, CutNumber{lattice.step, lattice.unit}, lattice.kept, lattice.shifted);
   if (grid) return *grid;
   return Fail(ErrorCode::kOverBudget,
-              name + ": its samples lie too far apart for one grid of 32-bit floats; use a larger "
-                     "position error");
+              name +
+                  ": its samples lie too far apart for one grid of 32-bit floats; use a larger "
+                  "position error");
 }
 
 }  // namespace strata::io

@@ -66,23 +66,6 @@ void RemoveIfAbandoned(int folder, const char* name, TemporaryKind kind) {
   close(fd);
 }
 
-// What an open folder holds. Gathered first, because removing while reading may skip some.
-std::vector<std::string> NamesIn(int folder) {
-  std::vector<std::string> names;
-  const int fd = openat(folder, ".", O_RDONLY | O_DIRECTORY | O_CLOEXEC);
-  DIR* entries = fd < 0 ? nullptr : fdopendir(fd);
-  if (entries == nullptr) {
-    if (fd >= 0) close(fd);
-    return names;
-  }
-  while (const dirent* entry = readdir(entries)) {
-    const std::string_view name = entry->d_name;
-    if (name != "." && name != "..") names.emplace_back(name);
-  }
-  closedir(entries);
-  return names;
-}
-
 std::string RandomDigits() {
   std::uint64_t bits = 0;
   if (getrandom(&bits, sizeof bits, GRND_NONBLOCK) != static_cast<ssize_t>(sizeof bits)) {
@@ -99,6 +82,22 @@ std::string RandomDigits() {
 }
 
 }  // namespace
+
+std::vector<std::string> NamesIn(int folder) {
+  std::vector<std::string> names;
+  const int fd = openat(folder, ".", O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  DIR* entries = fd < 0 ? nullptr : fdopendir(fd);
+  if (entries == nullptr) {
+    if (fd >= 0) close(fd);
+    return names;
+  }
+  while (const dirent* entry = readdir(entries)) {
+    const std::string_view name = entry->d_name;
+    if (name != "." && name != "..") names.emplace_back(name);
+  }
+  closedir(entries);
+  return names;
+}
 
 std::string NewTemporaryName(const std::string& base, TemporaryKind kind) {
   const std::string stem = "." + base.substr(0, NAME_MAX - DecorationOf(kind));
@@ -200,12 +199,6 @@ int SyncFolder(int parent, const char* name) {
   const int error = folder < 0 || (fsync(folder) != 0 && errno != EINVAL) ? errno : 0;
   if (folder >= 0) close(folder);
   return error;
-}
-
-std::vector<std::string> NamesWith(int folder, std::string_view prefix) {
-  auto names = NamesIn(folder, IsInside);
-  std::erase_if(names, [&](const std::string& name) { return !name.starts_with(prefix); });
-  return names;
 }
 
 void RemoveTree(int parent, const char* name) {

@@ -57,8 +57,9 @@ std::string WhyNotReplaceable(int parent, const std::string& name, const std::st
 /// Syncs the folder `name` in `parent` to disk. Returns 0 or an errno.
 int SyncFolder(int parent, const char* name);
 
-/// The names in an open folder that begin with `prefix`, in no order.
-std::vector<std::string> NamesWith(int folder, std::string_view prefix);
+/// The names in an open folder, in no order: all at once, because a loop that removes while it
+/// reads may skip some.
+std::vector<std::string> NamesIn(int folder);
 
 /// Whether `name` in `parent` is a folder that holds a file named `mark`.
 bool IsMarkedFolder(int parent, const std::string& name, const std::string& mark);

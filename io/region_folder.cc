@@ -81,8 +81,8 @@ std::string Difference(const std::string& theirs, const std::string& ours) {
   const Json a = Parsed(theirs).flatten(), b = Parsed(ours).flatten();
   for (const auto& [key, value] : b.items()) {
     if (a.contains(key) && a[key] == value) continue;
-    return key.substr(1) + " is " + (a.contains(key) ? a[key].dump() : "absent") +
-           " there, here " + value.dump();
+    return key.substr(1) + " is " + (a.contains(key) ? a[key].dump() : "absent") + " there, here " +
+           value.dump();
   }
   return "it says more";
 }
@@ -296,8 +296,11 @@ Result<std::string> RegionFolder::Manifest() const {
 // One who was killed meanwhile loses it to the next, and one who is only slow, too.
 bool RegionFolder::Claim(const std::string& claim) const {
   if (renameat(folder_, kFolderName, folder_, claim.c_str()) == 0) return true;
-  for (const std::string& other : NamesWith(folder_, kClaimPrefix)) {
-    if (renameat(folder_, other.c_str(), folder_, claim.c_str()) == 0) return true;
+  for (const std::string& other : NamesIn(folder_)) {
+    if (other.starts_with(kClaimPrefix) &&
+        renameat(folder_, other.c_str(), folder_, claim.c_str()) == 0) {
+      return true;
+    }
   }
   return false;
 }

@@ -53,8 +53,8 @@ class RegionFolder {
   /// Leaves the fragment of a region without samples.
   Result<void> WriteNothing();
 
-  /// Publishes the output if every region is there. Returns how many are. Errors: kIo, kCorruptInput
-  /// (a fragment that somebody changed).
+  /// Publishes the output if every region is there. Returns how many are. Errors: kIo,
+  /// kCorruptInput (a fragment that somebody changed).
   Result<std::uint32_t> Commit();
 
  private:
@@ -78,9 +78,9 @@ class RegionFolder {
   tl::unexpected<Error> FailIo(const std::string& what, int error) const;
 
   SharedOutput output_;
-  std::string head_, job_;          // Of the manifest; what all processes must agree on.
-  std::string final_name_, work_;   // Within parent_.
-  int parent_ = -1, folder_ = -1;   // folder_: the one named work_, wherever it has come to stand.
+  std::string head_, job_;         // Of the manifest; what all processes must agree on.
+  std::string final_name_, work_;  // Within parent_.
+  int parent_ = -1, folder_ = -1;  // folder_: the one named work_, wherever it has come to stand.
 };
 
 }  // namespace strata::io

@@ -6,11 +6,11 @@
 #include <utility>
 #include <vector>
 
+#include "core/cell_octree.h"
 #include "io/atomic_folder.h"
 #include "io/checked_writer.h"
 #include "io/draco_cloud.h"
 #include "io/float_grid.h"
-#include "core/cell_octree.h"
 #include "io/format_writers.h"
 #include "io/output_place.h"
 #include "io/row_spooler.h"
@@ -118,8 +118,7 @@ class TileWriter final : public CheckedWriter {
 
   Result<void> SettlePlan() {
     for (plan_.Settle(); plan_.unsettled(); plan_.Settle()) {
-      auto counted = AllRows().ForEach(
-          [&](const char* row) { plan_.Add(CodeOfRow(row)); });
+      auto counted = AllRows().ForEach([&](const char* row) { plan_.Add(CodeOfRow(row)); });
       if (!counted) return counted;
     }
     return {};

@@ -15,8 +15,8 @@ namespace strata::io {
 /// samples in all tiles.
 std::string TilesetHead(const SampleHeader& header, std::uint64_t tile_samples, double step);
 
-/// A tile's entry, one line. `bytes` is its file, `box` encloses the samples it was made of. Errors:
-/// kInternal when no hash can be made.
+/// A tile's entry, one line. `bytes` is its file, `box` encloses the samples it was made of.
+/// Errors: kInternal when no hash can be made.
 struct TileFile {
   std::string path;
   std::uint64_t count = 0;

@@ -109,6 +109,11 @@ CLI::App* AddMerge(CLI::App& app, RawSample& raw) {
                    "is a partial again; else no share may be missing.")
       ->option_text("")
       ->group("Options");
+  AddOptional(*merge, "--region", raw.region, "J/R", "Options",
+              "Write only the J-th of R parts, J from 0 to R-1, of a drc folder:\n"
+              "R processes, in any order or at once, write it together, with\n"
+              "the tiles of a single merge. It appears when all are done. R up\n"
+              "to 65536.");
   AddRows(*merge, Subcommand::kMerge, raw);
   return merge;
 }
@@ -311,19 +316,31 @@ Result<Command> ConvertSample(const RawSample& raw) {
   return Command(std::move(command));
 }
 
-Result<Share> ParseShare(std::string_view text) {
-  Share share;
+// "I/N" with I < N <= most; nothing if it is not.
+std::optional<std::pair<std::uint32_t, std::uint32_t>> ParseOneOf(std::string_view text,
+                                                                  std::uint32_t most) {
+  std::pair<std::uint32_t, std::uint32_t> one;
   const std::size_t slash = std::min(text.find('/'), text.size());
   const auto number = [](std::string_view digits, std::uint32_t& into) {
     const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), into);
     return error == std::errc() && end == digits.data() + digits.size();
   };
-  const bool good = slash < text.size() && number(text.substr(0, slash), share.index) &&
-                    number(text.substr(slash + 1), share.count);
-  if (good && share.count >= 1 && share.count <= 1u << 20 && share.index < share.count)
-    return share;
+  const bool good = slash < text.size() && number(text.substr(0, slash), one.first) &&
+                    number(text.substr(slash + 1), one.second);
+  if (good && one.second <= most && one.first < one.second) return one;
+  return std::nullopt;
+}
+
+Result<Share> ParseShare(std::string_view text) {
+  if (const auto one = ParseOneOf(text, 1u << 20)) return Share{one->first, one->second};
   return Refuse("--share: found '" + std::string(text) +
                 "', expected I/N with I from 0 to N-1 and N from 1 to 1048576");
+}
+
+Result<Region> ParseRegion(std::string_view text) {
+  if (const auto one = ParseOneOf(text, 1u << 16)) return Region{one->first, one->second};
+  return Refuse("--region: found '" + std::string(text) +
+                "', expected J/R with J from 0 to R-1 and R from 1 to 65536");
 }
 
 Result<Lattice> ParseLattice(std::string_view text) {
@@ -359,6 +376,19 @@ Result<Command> ConvertScan(const RawSample& raw) {
   return Command(std::move(command));
 }
 
+void ConvertRegion(const RawSample& raw, Converter& convert, MergeCommand& command) {
+  if (!raw.region) return;
+  Region region;
+  convert.Text(raw.region, region, ParseRegion);
+  command.region = region;
+  convert.Require(!command.to_partial && command.job.format == io::SampleFormat::kDraco &&
+                      command.job.output != "-",
+                  "--region needs a drc OUTPUT with a name, which becomes a folder: any other "
+                  "format is one file, and several processes cannot write that");
+  convert.Require(!raw.picture && !raw.summary,
+                  "--picture and --summary are of the whole output, and --region sees one part");
+}
+
 Result<Command> ConvertMerge(RawSample raw) {
   MergeCommand command;
   Converter convert;
@@ -373,6 +403,7 @@ Result<Command> ConvertMerge(RawSample raw) {
   if (!raw.format && !command.to_partial) {
     convert.Text(raw.output, command.job.format, FormatOfOutput);
   }
+  ConvertRegion(raw, convert, command);
   if (!convert.outcome()) return Forward(convert.outcome());
   return Command(std::move(command));
 }

@@ -9,6 +9,7 @@
 #include <variant>
 #include <vector>
 
+#include "core/parcels.h"
 #include "core/result.h"
 #include "core/sample_mesh.h"
 #include "core/scan.h"
@@ -47,7 +48,8 @@ struct ScanCommand {
 struct MergeCommand {
   SampleCommand job;
   std::vector<std::string> inputs;
-  bool to_partial = false;  ///< The output is a partial again.
+  bool to_partial = false;       ///< The output is a partial again.
+  std::optional<Region> region;  ///< Which part of the output, a drc folder, is to be written.
 };
 
 /// `strata info MESH`.

@@ -14,6 +14,7 @@ namespace strata::server {
 struct RawSample {
   std::optional<std::string> input, output;
   std::vector<std::string> parts;             // Of merge.
+  std::optional<std::string> region;          // Of merge.
   std::optional<std::string> share, lattice;  // Of scan.
   std::optional<std::string> resolution, voxel_size, height;
   std::optional<std::string> lambda, min_distance, seed, integrator;

@@ -27,9 +27,10 @@
 #include "io/picture.h"
 #include "io/sample_writer.h"
 #include "server/progress_bar.h"
-#include "server/provenance.h"
+#include "server/region_merge.h"
 #include "server/resources.h"
 #include "server/summary_json.h"
+#include "server/write_samples.h"
 
 namespace strata::server {
 namespace {
@@ -132,22 +133,10 @@ Result<std::unique_ptr<MeshReader>> OpenInput(const SampleCommand& command, RunC
 Result<SampledMesh> Sample(const SampleCommand& command, RunContext& context, JobFigures& figures) {
   const auto reader = OpenInput(command, context, figures);
   if (!reader) return Forward(reader);
-  auto result = SampleMeshStreamed(**reader, command.options, context);
+  auto result = SampleMeshStreamed(**reader, OptionsForOutput(command), context);
   figures.scan_bytes = (*reader)->bytes_read() - figures.open_bytes;
   if (!result) return tl::unexpected<Error>(Named(result.error(), command.input));
   return result;
-}
-
-SampleHeader HeaderOf(const SampleCommand& command, const SampledMesh& sampled) {
-  SampleHeader header;
-  header.count = sampled.stats.survivors;
-  header.attributes = command.options.attributes;
-  header.edge = sampled.stats.lattice.edge;
-  header.lattice_origin = sampled.stats.lattice.origin;
-  header.position_error = command.position_error * sampled.stats.lattice.edge;
-  header.provenance = Provenance(command.options, command.position_error, sampled.stats);
-  header.bounds = sampled.bounds;
-  return header;
 }
 
 /// The samples that a picture shows: all, or evenly many of more than it can show.
@@ -174,27 +163,11 @@ Result<void> WriteSamples(const SampleCommand& command, SampledMesh& sampled,
                           PictureSamples& picture, RunContext& context, JobFigures& figures) {
   const Stopwatch watch;
   context.SetStage(RunContext::Stage::kWrite);
-  io::WriterResources resources;
-  resources.context = &context;
-  resources.tile_samples = command.tile_samples;
-  resources.memory = &context.memory();
-  resources.scratch = context.scratch();
-  auto writer =
-      io::OpenSampleWriter(command.output, command.format, HeaderOf(command, sampled), resources);
+  auto writer = io::OpenSampleWriter(command.output, command.format, HeaderOf(command, sampled),
+                                     ResourcesOf(command, context));
   if (!writer) return Forward(writer);
-  SampleColumns samples;
-  for (std::uint64_t written = 0;;) {
-    context.SetProgress(written, sampled.stats.survivors);
-    if (context.cancelled()) return Cancelled();
-    const auto more = sampled.samples->Next(samples);
-    if (!more) return Forward(more);
-    if (!*more) break;
-    if (auto taken = (*writer)->Write(samples); !taken) return taken;
-    picture.Add(samples);
-    written += samples.size();
-  }
-  sampled.samples.reset();
-  const auto bytes = (*writer)->Finish();
+  const auto bytes = WriteAll(sampled, **writer, context,
+                              [&](const SampleColumns& samples) { picture.Add(samples); });
   if (!bytes) return Forward(bytes);
   figures.write_bytes = *bytes;
   figures.write_seconds = watch.seconds();
@@ -276,6 +249,14 @@ class Job {
     if (auto noted = WriteSummary(command_, stats, figures); !noted) return noted;
     if (folder_) folder_->Finish();
     if (!command_.quiet) std::fputs(SummaryText(command_, stats, figures).c_str(), stderr);
+    return {};
+  }
+
+  Result<void> DeliverRegion(const RegionJob& region, ScannedMesh scanned) {
+    const auto report = MergeRegion(region, std::move(scanned), context_);
+    if (!report) return Forward(report);
+    bar_.Stop();
+    if (!command_.quiet) std::fputs(RegionText(region, *report).c_str(), stderr);
     return {};
   }
 
@@ -369,9 +350,13 @@ Result<void> RunMerge(const MergeCommand& command, RunContext& context) {
   whole.options.lambda = info.lambda;
   whole.options.seed = info.seed;
   whole.options.integrator = info.integrator;
+  const std::vector<Partial> parts = std::move(combined->parts);
   auto scanned = WholeOf(std::move(*combined));
   if (!scanned) return Forward(scanned);
-  auto sampled = GatherSamples(std::move(*scanned), whole.options, context);
+  if (command.region) {
+    return job.DeliverRegion({whole, *command.region, parts}, std::move(*scanned));
+  }
+  auto sampled = GatherSamples(std::move(*scanned), OptionsForOutput(whole), context);
   if (!sampled) return Forward(sampled);
   return job.Deliver(std::move(*sampled));
 }

@@ -1,12 +1,12 @@
 // The plan against an octree built the plain way: top down, with every cell at hand.
-#include "io/tile_plan.h"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <random>
 #include <set>
 #include <string>
+
+#include "io/tile_plan.h"
 
 namespace strata::io {
 namespace {
