@@ -67,7 +67,7 @@ class RegionJob {
   Result<Gathered> Run() {
     if (auto planned = Plan(); !planned) return Forward(planned);
     if (mine_.empty()) return Gathered();
-    for (int distance = reach_;; distance *= 2) {
+    for (int distance = reach_;; distance *= 4) {
       reads_.around = NearBlocks::Around(undecided_, distance);
       auto gathered = Gather();
       if (!gathered || gathered->undecided.empty()) return gathered;

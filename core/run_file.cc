@@ -243,15 +243,17 @@ Result<bool> RunReader::ReadChosenFrame() {
 }
 
 Result<bool> RunReader::ReadFrame() {
-  for (;;) {
+  while (!at_end_) {
     if (auto read = frame_->Read(frame_->next()); !read) return Forward(read);
     const std::uint32_t flags = frame_->header().flags;
     if ((flags & kIsEnd) != 0) return ReadEnd();
-    if ((flags & (kIsIndex | kIsDirectory)) == 0) break;
+    if ((flags & (kIsIndex | kIsDirectory)) == 0) {
+      if (auto unpacked = Unpack(); !unpacked) return Forward(unpacked);
+      return true;
+    }
     if (auto checked = CheckIndex(); !checked) return Forward(checked);
   }
-  if (auto unpacked = Unpack(); !unpacked) return Forward(unpacked);
-  return true;
+  return false;
 }
 
 // Every block must be known to the index, or a reader that relies on it would miss some.
@@ -311,6 +313,7 @@ Result<bool> RunReader::ReadEnd() {
   if (trailer != frame_->next() - frame_->at()) return frame_->Damaged("its end has a wrong size");
   blocks_.clear();
   next_block_ = 0;
+  at_end_ = true;
   return false;
 }
 

@@ -122,6 +122,7 @@ class RunReader : public BlockStream {
   std::vector<std::uint16_t> counts_;
   std::vector<BlockReservoirs::Entry> cells_;
   std::size_t next_block_ = 0, next_cell_ = 0;
+  bool at_end_ = false;
 };
 
 }  // namespace strata

@@ -464,7 +464,7 @@ TEST(TileWriter, AFullDiskKeepsWhatWasThere) {
   umount((folder / "disk").c_str());
   ASSERT_FALSE(written);
   EXPECT_EQ(written.error().code, ErrorCode::kIo);
-  EXPECT_NE(written.error().message.find("tiles/0000"), std::string::npos) << MessageOf(written);
+  EXPECT_NE(written.error().message.find("tiles/"), std::string::npos) << MessageOf(written);
   EXPECT_NE(written.error().message.find("No space left"), std::string::npos);
   EXPECT_EQ(names, Names{"a.drc"});
   EXPECT_EQ(kept, "old");
