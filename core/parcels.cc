@@ -14,7 +14,7 @@ constexpr int kBlockLevel = 3;
 
 std::uint64_t CellsPerParcel(std::uint64_t tile_samples, double min_distance) {
   double kept = 1;
-  if (min_distance > 0) kept = std::clamp(0.4 / (min_distance * min_distance), 1.0 / 16, 0.75);
+  if (min_distance > 0) kept = std::clamp(1.6 - 1.75 * min_distance, 1.0 / 16, 0.75);
   return std::max<std::uint64_t>(
       static_cast<std::uint64_t>(std::floor(static_cast<double>(tile_samples) / kept)), 1);
 }

@@ -16,7 +16,8 @@ namespace strata {
 ///
 /// Tiles lie within parcels. A parcel that leaves more samples than a tile holds is divided by its
 /// samples, as one octree over everything would be; one that leaves few is a small tile. So the
-/// share of cells that keep their sample is taken low: 0.4 / m^2, within 1/16 and 3/4.
+/// share of cells that keep their sample is taken low, 1.6 - 1.75 m within 1/16 and 3/4; measured
+/// were 0.77 for m = 0.5, 0.28 to 0.32 for 0.75, 0.08 to 0.11 for 0.9, 0.05 for 1.
 std::uint64_t CellsPerParcel(std::uint64_t tile_samples, double min_distance);
 
 /// Calls back for every block with its number of occupied cells.
