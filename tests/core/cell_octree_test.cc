@@ -1,12 +1,12 @@
 // The plan against an octree built the plain way: top down, with every cell at hand.
+#include "core/cell_octree.h"
+
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <random>
 #include <set>
 #include <string>
-
-#include "core/cell_octree.h"
 
 namespace strata {
 namespace {

@@ -2,13 +2,10 @@
 // an exit code or not at all, never in the bytes.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <poll.h>
-#include <sys/syscall.h>
 #include <unistd.h>
 
 #include <csignal>
 #include <cstdint>
-#include <ctime>
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -154,18 +151,6 @@ INSTANTIATE_TEST_SUITE_P(Formats, FullDisk, testing::Values(kPly, kNpz, kTiles),
 
 // --- Killed --------------------------------------------------------------------------------------
 
-/// Waits until the child has ended, at most `seconds`; returns whether it has. Does not reap it.
-bool EndsWithin(const Child& child, double seconds) {
-  const int handle = static_cast<int>(syscall(SYS_pidfd_open, child.id(), 0));
-  EXPECT_GE(handle, 0);
-  pollfd ended = {handle, POLLIN, 0};
-  const auto whole = static_cast<std::time_t>(seconds);
-  const timespec time = {whole, static_cast<long>((seconds - static_cast<double>(whole)) * 1e9)};
-  const int ready = ppoll(&ended, 1, &time, nullptr);
-  close(handle);
-  return ready > 0;
-}
-
 class Killed : public OutOfCore {
  protected:
   static constexpr int kKills = 10;  // Of each kind of output.
@@ -203,7 +188,7 @@ TEST_P(Killed, AtRandomMomentsLeavesNoOutputAndTheNextRunCleansUp) {
     const double from = tries % 2 == 0 ? 0 : whole.seconds - whole.write_seconds;
     const double after = from + (whole.seconds - from) * engine() / 0x1p32;
     SCOPED_TRACE("killed after " + std::to_string(after) + " s");
-    const bool ended = EndsWithin(strata, after);
+    const bool ended = strata.EndsWithin(after);
     strata.Signal(SIGKILL);
     const int status = strata.Wait();
     // The name is given in the end, to all of the output: it may have it, but never a part.

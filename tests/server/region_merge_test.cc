@@ -49,9 +49,15 @@ class RegionMerge : public testing::Test {
     Options parts;
     for (int i = 0; i < count; ++i) {
       parts.push_back(In("part-" + std::to_string(parts_made_++) + ".run"));
-      Options arguments = {"scan", In("sheet.obj"), "--quiet", "-o", parts.back(), "--share",
+      Options arguments = {"scan",
+                           In("sheet.obj"),
+                           "--quiet",
+                           "-o",
+                           parts.back(),
+                           "--share",
                            std::to_string(i) + '/' + std::to_string(count),
-                           "--resolution", "120"};
+                           "--resolution",
+                           "120"};
       arguments.insert(arguments.end(), options.begin(), options.end());
       const Outcome outcome = Run(STRATA_BINARY, arguments);
       EXPECT_EQ(outcome.status, 0) << outcome.err;
@@ -195,8 +201,8 @@ TEST_F(RegionMerge, GoesOnWhereAProcessWasKilledWhilePublishing) {
       // Two unfinished outputs together are one whose regions are all there.
       ASSERT_EQ(Merge(parts, "out.drc", {}, "0/2").status, 0);
       ASSERT_EQ(Merge(parts, "b.drc", {}, "1/2").status, 0);
-      const auto merge = std::filesystem::copy_options::recursive |
-                         std::filesystem::copy_options::skip_existing;
+      const auto merge =
+          std::filesystem::copy_options::recursive | std::filesystem::copy_options::skip_existing;
       std::filesystem::copy(In("b.drc.regions"), work, merge);
       std::filesystem::remove_all(In("b.drc.regions"));
       if (state != kAllFragments) std::filesystem::rename(work + "/folder", claimed);
@@ -217,8 +223,7 @@ TEST_F(RegionMerge, GoesOnWhereAProcessWasKilledWhilePublishing) {
 TEST_F(RegionMerge, AnotherMergeInTheSamePlaceIsRefusedByWhatDiffers) {
   const Options parts = Scan();
   ASSERT_EQ(Merge(parts, "out.drc", {}, "0/3").status, 0);
-  const auto refusal = [&](const Options& from, const Options& options,
-                           const std::string& region) {
+  const auto refusal = [&](const Options& from, const Options& options, const std::string& region) {
     const Outcome outcome = Merge(from, "out.drc", options, region);
     EXPECT_EQ(outcome.status, 2) << outcome.err;
     EXPECT_THAT(outcome.err, HasSubstr("out.drc.regions: another merge is under way there"));

@@ -1,8 +1,8 @@
 // Samples in cells and blocks, made up without a mesh, for tests of the minimum distance.
 #pragma once
 
-#include <cstdint>
 #include <algorithm>
+#include <cstdint>
 #include <map>
 #include <utility>
 #include <vector>

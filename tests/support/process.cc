@@ -1,14 +1,17 @@
 #include "tests/support/process.h"
 
 #include <fcntl.h>
+#include <poll.h>
 #include <signal.h>
 #include <sys/resource.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cstdlib>
+#include <ctime>
 #include <fstream>
 #include <stdexcept>
 #include <utility>
@@ -120,6 +123,17 @@ void Child::CloseInput() {
 }
 
 void Child::Signal(int number) const { kill(id_, number); }
+
+bool Child::EndsWithin(double seconds) const {
+  const int handle = static_cast<int>(syscall(SYS_pidfd_open, id_, 0));
+  Check(handle >= 0, "cannot watch the child");
+  pollfd ended = {handle, POLLIN, 0};
+  const auto whole = static_cast<std::time_t>(seconds);
+  const timespec time = {whole, static_cast<long>((seconds - static_cast<double>(whole)) * 1e9)};
+  const int ready = ppoll(&ended, 1, &time, nullptr);
+  close(handle);
+  return ready > 0;
+}
 
 int Child::Wait() {
   int status = 0;

@@ -55,6 +55,9 @@ class Child {
   /// Exit status, or 1000 + the signal that killed it. Leaves the input as it is.
   int Wait();
 
+  /// Blocks until the child has ended, at most `seconds`; returns whether it has. Does not reap it.
+  bool EndsWithin(double seconds) const;
+
   pid_t id() const { return id_; }
   std::string Out() const { return ReadText(scratch_ / "out"); }
   std::string Err() const { return ReadText(scratch_ / "err"); }
