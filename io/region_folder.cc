@@ -346,21 +346,22 @@ Result<bool> RegionFolder::TryToPublish() {
 }
 
 // Only once the output is there. Under another name first, so that a process that still writes here
-// is not in the way of the next output; should it be killed, the name is that of a leftover.
+// is not in the way of the next output; what it adds while the folder is emptied, it removes itself
+// when it comes here: the name is that of a leftover.
 void RegionFolder::RemoveWork() {
-  if (folder_ < 0) {
-    const auto opened = TryToOpenWork();
-    if (!opened || !*opened) return;
-    if (ReadWhole(folder_, kJobName, job_.size() + 1) != job_) return;
-  }
+  if (folder_ < 0) static_cast<void>(TryToOpenWork());
+  // Where an output stands already, the work of another may have begun.
+  if (folder_ >= 0 && ReadWhole(folder_, kJobName, job_.size() + 1) == job_) GiveWorkAway();
+  RemoveLeftovers(parent_);
+}
+
+void RegionFolder::GiveWorkAway() {
   if (!NameRefersTo(parent_, work_.c_str(), folder_)) return;
   const std::string name = NewTemporaryName(final_name_, TemporaryKind::kFolder);
   if (renameat(parent_, work_.c_str(), parent_, name.c_str()) != 0) return;
   if (!NameRefersTo(parent_, name.c_str(), folder_)) {  // The next output's, just this moment.
     renameat(parent_, name.c_str(), parent_, work_.c_str());
-    return;
   }
-  RemoveTree(parent_, name.c_str());
 }
 
 }  // namespace strata::io

@@ -71,6 +71,7 @@ class RegionFolder {
   bool Claim(const std::string& claim) const;
   bool IsOurs(const std::string& claim) const;
   void RemoveWork();
+  void GiveWorkAway();
   Result<void> PutFile(const std::string& name, std::string_view bytes) const;
   Result<void> PutTile(const std::string& path, std::string_view bytes) const;
   Result<std::uint64_t> PutFragment(std::uint64_t samples,

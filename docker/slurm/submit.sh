@@ -19,6 +19,8 @@
 #   STRATA_SCRATCH        a folder for scratch space that outlives a task, best one that every node
 #                         sees: a task that starts again then goes on where it was killed (default:
 #                         the node's own temporary folder, and no going on)
+#   STRATA_REGIONS        how many tasks share the merge, where the result is a folder of tiles (.drc);
+#                         0, the default: one, with any result
 #   STRATA_RETRIES        how often a task that was killed or could not read or write is put back
 #                         into the queue (default 3)
 #   STRATA                the command (default: strata, as found on the nodes)
@@ -32,7 +34,8 @@ here=$(cd "$(dirname "$0")" && pwd)
 : "${STRATA_OUTPUT:?is not set: where the result goes}"
 STRATA_SHARES=${STRATA_SHARES:-16}
 STRATA_PARTS=${STRATA_PARTS:-$STRATA_OUTPUT.parts}
-export STRATA_MESH STRATA_OUTPUT STRATA_SHARES STRATA_PARTS
+STRATA_REGIONS=${STRATA_REGIONS:-0}
+export STRATA_MESH STRATA_OUTPUT STRATA_SHARES STRATA_PARTS STRATA_REGIONS
 mkdir -p "$STRATA_PARTS"
 
 # --export=ALL hands the STRATA_ variables on. --parsable prints "number" or "number;cluster".
@@ -41,6 +44,7 @@ array=$(sbatch --parsable --export=ALL --array="0-$((STRATA_SHARES - 1))" \
 array=${array%%;*}
 # afterok: only once every task of the array has ended with status 0. If one cannot, the merge is
 # cancelled instead of waiting for ever.
-merge=$(sbatch --parsable --export=ALL --dependency="afterok:$array" --kill-on-invalid-dep=yes \
-  "$here/strata-merge.sbatch")
+set -- --parsable --export=ALL --dependency="afterok:$array" --kill-on-invalid-dep=yes
+[ "$STRATA_REGIONS" -eq 0 ] || set -- "$@" --array="0-$((STRATA_REGIONS - 1))"
+merge=$(sbatch "$@" "$here/strata-merge.sbatch")
 echo "$array ${merge%%;*}"

@@ -59,7 +59,7 @@ class RegionMerge : public testing::Test {
                            "--resolution",
                            "120"};
       arguments.insert(arguments.end(), options.begin(), options.end());
-      const Outcome outcome = Run(STRATA_BINARY, arguments);
+      const Outcome outcome = test::Run(STRATA_BINARY, arguments);
       EXPECT_EQ(outcome.status, 0) << outcome.err;
     }
     return parts;
@@ -74,7 +74,7 @@ class RegionMerge : public testing::Test {
   }
   Outcome Merge(const Options& parts, const std::string& output, const Options& options = {},
                 const std::string& region = "") const {
-    return Run(STRATA_BINARY, Arguments(parts, output, options, region));
+    return test::Run(STRATA_BINARY, Arguments(parts, output, options, region));
   }
 
   // Every file in a folder, by its path within.
@@ -118,12 +118,12 @@ TEST_F(RegionMerge, InAnyOrderAndTwiceLeavesTheBytesOfOneMerge) {
     for (const char* m : {"0", "0.5", "0.9"}) {
       const Options options = {"--min-distance", m};
       const Files expected = Whole(parts, options);
-      for (const std::uint32_t count : {1u, 3u, 7u, 200u}) {
-        if (count == 200 && std::string(m) != "0.5") continue;
+      for (const std::uint32_t count : {1u, 2u, 7u, 40u}) {
+        if (count == 40 && (std::string(m) != "0.5" || !scan.empty())) continue;
         std::filesystem::remove_all(In("out.drc"));
         std::vector<std::uint32_t> order;
         for (std::uint32_t r = 0; r < count; ++r) order.push_back(r);
-        if (count < 200) order.push_back(random() % count);  // Twice.
+        if (count < 40) order.push_back(random() % count);  // Twice.
         std::shuffle(order.begin(), order.end(), random);
         for (std::size_t i = 0; i < order.size(); ++i) {
           const Outcome outcome = Merge(parts, "out.drc", options, Name(order[i], count));
@@ -166,12 +166,12 @@ TEST_F(RegionMerge, KilledAtRandomMomentsAndRunAgainLeavesTheBytesOfOneMerge) {
   ASSERT_EQ(Merge(parts, "out.drc", options, "0/1").status, 0);
   const double once = watch.seconds();
   int killed = 0;
-  for (int round = 0; round < 8; ++round) {
+  for (int round = 0; round < 5; ++round) {
     std::filesystem::remove_all(In("out.drc"));
     for (std::uint32_t r = 0; r < 3; ++r) {
       for (int attempt = 0; attempt < 3; ++attempt) {
         Child child(STRATA_BINARY, Arguments(parts, "out.drc", options, Name(r, 3)));
-        child.EndsWithin(once * (random() % 1000) / 1000);
+        child.EndsWithin(once * (random() % 1000) / 2000);
         child.Signal(SIGKILL);
         killed += child.Wait() == 1000 + SIGKILL ? 1 : 0;
       }
@@ -181,8 +181,8 @@ TEST_F(RegionMerge, KilledAtRandomMomentsAndRunAgainLeavesTheBytesOfOneMerge) {
     SCOPED_TRACE("seed 82, round " + std::to_string(round));
     ExpectFinished("out.drc", expected);
   }
-  std::printf("seed 82: %d of 72 processes killed before their end\n", killed);
-  EXPECT_GT(killed, 10);
+  std::printf("seed 82: %d of 45 processes killed before their end\n", killed);
+  EXPECT_GT(killed, 4);
 }
 
 // The names that a process leaves which is killed between its last tile and its end.
@@ -292,7 +292,7 @@ TEST_F(RegionMerge, IsForFoldersOfTilesAlone) {
   for (const char* region : {"2/2", "0/0", "-1/2", "1", "a/b", "0/70000", ""}) {
     Options arguments = Arguments({In("none.run")}, "out.drc", {}, "");
     arguments.insert(arguments.end(), {"--region", region});
-    EXPECT_EQ(Run(STRATA_BINARY, arguments).status, 2) << region;
+    EXPECT_EQ(test::Run(STRATA_BINARY, arguments).status, 2) << region;
   }
 }
 

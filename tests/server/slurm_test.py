@@ -172,6 +172,25 @@ def check_share_twice(job, expected):
     print('share 3 twice: the same bytes', flush=True)
 
 
+def check_regions(job):
+    """The merge as an array: each task writes its region of one folder."""
+    tiles = ['--tile-samples', '20000']
+    parts = [job.part(share) for share in range(SHARES)]
+    one, shared = job.output.with_name('one.drc'), job.output.with_name('shared.drc')
+    subprocess.run([job.variables['STRATA'], 'merge', *parts, *MERGE.split(), *tiles, '-o', one,
+                    '--quiet'], check=True, timeout=300)
+    variables = dict(job.variables, STRATA_REGIONS='3', STRATA_OUTPUT=str(shared),
+                     STRATA_MERGE_OPTIONS=' '.join([MERGE, *tiles]))
+    number = job.cluster.run('sbatch', '--parsable', '--export=ALL', '--array=0-2',
+                             job.script.with_name('strata-merge.sbatch'), **variables).strip()
+    for region in range(3):
+        job.wait_until(f'{number}_{region}', 'COMPLETED')
+    subprocess.run(['diff', '-r', one, shared], check=True, timeout=60)
+    if shared.with_name('shared.drc.regions').exists():
+        raise AssertionError('the finished folder left its regions behind')
+    print(f'{len(list(shared.glob("tiles/*")))} tiles by 3 tasks: the same bytes', flush=True)
+
+
 def check_failure(job):
     """An error that would come back ends the array, and the merge with it."""
     job.variables['STRATA_MESH'] = str(job.mesh.with_name('absent.ply'))
@@ -209,6 +228,7 @@ def main():
                 job = Job(cluster, folder, mesh, options)
                 check_array(job, expected)
                 check_share_twice(job, expected)
+                check_regions(job)
                 check_failure(job)
             except BaseException:
                 print(cluster.run('scontrol', 'show', 'job'), cluster.logs(), sep='\n', flush=True)
