@@ -116,6 +116,21 @@ SampleColumns Keep(const AllCells& all, const std::vector<std::uint8_t>& fate,
   return out;
 }
 
+// `cells` are grouped by block.
+Result<std::vector<OctreeNode>> ParcelsOfCells(const std::vector<Cell>& cells,
+                                               const GatherOptions& options) {
+  if (options.parcel_cells == 0) return {};
+  const auto visit = [&](const auto& block) -> Result<void> {
+    for (std::size_t begin = 0, end = 0; begin < cells.size(); begin = end) {
+      const Cell place = BlockOf(cells[begin]);
+      while (end < cells.size() && BlockOf(cells[end]) == place) ++end;
+      block(place, end - begin);
+    }
+    return {};
+  };
+  return PlanParcels(options.parcel_cells, options.surface, options.lattice.edge, visit);
+}
+
 // --- In passes -------------------------------------------------------------------------------
 
 // What the first pass finds; cells, area and bounds of the territory alone.
@@ -299,15 +314,9 @@ Result<Gathered> GatherInMemory(std::unique_ptr<ReservoirStore> store, const Gat
   AreaSum area;
   for (const Reservoir* r : all.reservoir) area.Add(r->area);
   out.cell_area = area.InWorldUnits(options.lattice);
-  if (options.parcel_cells > 0) {
-    auto parcels = PlanParcels(options.parcel_cells, options.surface, options.lattice.edge,
-                               [&](const auto& block) -> Result<void> {
-                                 for (const Cell cell : all.cell) block(BlockOf(cell), 1);
-                                 return {};
-                               });
-    if (!parcels) return Forward(parcels);
-    out.parcels = std::move(*parcels);
-  }
+  auto parcels = ParcelsOfCells(all.cell, options);
+  if (!parcels) return Forward(parcels);
+  out.parcels = std::move(*parcels);
   context.SetStage(RunContext::Stage::kReject);
   const Stopwatch watch;
   const auto fate = RejectClosePoints({all.position, all.time, all.cell},

@@ -127,5 +127,32 @@ TEST(FloatGrid, RefusesBoxesThatAreEmptyOrNotFinite) {
   }
 }
 
+TEST(TileLattice, HasAGridForEveryBoxWithinTheWhole) {
+  std::mt19937_64 random(23);
+  const auto unit = [&] { return static_cast<double>(random() >> 11) * 0x1p-53; };
+  for (int round = 0; round < 300; ++round) {
+    const double side = std::pow(10, 12 * unit() - 6), far = side * std::pow(10, 6 * unit() - 3);
+    const Bounds whole{{far, -far, far / 3}, {far + side, side - far, far / 3 + side * unit()}};
+    const double error = side * std::pow(10, -7 * unit());
+    const auto lattice = ChooseTileLattice(whole, error, "a");
+    ASSERT_TRUE(lattice) << "seed 23, round " << round << ": " << lattice.error().message;
+    const double most = LargestGridStep(whole, error);
+    EXPECT_GE(lattice->step, most / 2);
+    EXPECT_LE(lattice->step, most);
+    for (int n = 0; n < 20; ++n) {
+      Bounds box;
+      for (int a = 0; a < 3; ++a) {
+        const double extent = whole.max[a] - whole.min[a];
+        const double width = std::min(extent, kMostTileSteps * most) * (n == 0 ? 1 : unit());
+        box.min[a] = whole.min[a] + (extent - width) * unit();
+        box.max[a] = std::min(box.min[a] + width, whole.max[a]);
+      }
+      const auto grid = TileGrid(*lattice, box, "a");
+      ASSERT_TRUE(grid) << "seed 23, round " << round << ": " << grid.error().message;
+      EXPECT_EQ(grid->step, lattice->step);
+    }
+  }
+}
+
 }  // namespace
 }  // namespace strata::io

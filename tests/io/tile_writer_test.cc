@@ -284,9 +284,52 @@ TEST(TileWriter, TakesTilesOfOneSample) {
 TEST(TileWriter, DoesNotSplitACellThatHoldsMoreThanATile) {
   SampleColumns samples = Surface(9);
   for (Vec3& p : samples.position) p = {0.01, 0.01, 0.01};
+  for (Cell& c : samples.cell) c = {0, 0, 0};
   const ReadTileset set = WriteAndRead(samples, TiledHeader(samples, 0), 10);
   ASSERT_EQ(set.tiles.size(), 1u);
   EXPECT_EQ(set.tiles[0].count, samples.size());
+}
+
+TEST(TileWriter, TakesThePositionsCellWhereNoCellIsGiven) {
+  TempFolder folder;
+  SampleColumns samples = Surface(30);
+  const SampleHeader header = TiledHeader(samples, kNormal);
+  ASSERT_TRUE(WriteTiled(folder / "a.drc", samples, header, {.tile_samples = 70}));
+  samples.cell.clear();
+  ASSERT_TRUE(WriteTiled(folder / "b.drc", samples, header, {.tile_samples = 70}));
+  EXPECT_TRUE(Contents(folder / "a.drc") == Contents(folder / "b.drc"));
+}
+
+// Each parcel alone gives the very tiles that it has among all.
+TEST(TileWriter, WritesTheTilesOfAParcelWithoutTheOthers) {
+  TempFolder folder;
+  const SampleColumns samples = Surface(40);
+  SampleHeader header = TiledHeader(samples);
+  header.surface = {{-100, -100, -100}, {100, 100, 100}};
+  for (const Cell cell : {Cell{-32, 0, -32}, Cell{-32, 0, 0}, Cell{-32, 32, -32}, Cell{-32, 32, 0},
+                          Cell{0, 0, -32}, Cell{0, 0, 0}, Cell{0, 32, -32}, Cell{0, 32, 0}}) {
+    header.parcels.push_back({CodeOf(cell), 5, 0});
+  }
+  ASSERT_TRUE(WriteTiled(folder / "all.drc", samples, header, {.tile_samples = 100}));
+  const auto all = Contents(folder / "all.drc");
+  std::size_t tiles = 0;
+  for (const OctreeNode& parcel : header.parcels) {
+    SampleColumns mine;
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      if (parcel.Holds(CodeOf(samples.cell[i]))) mine.Append(test::Slice(samples, i, 1));
+    }
+    SampleHeader alone = header;
+    alone.count = mine.size();
+    alone.parcels = {parcel};
+    if (mine.size() <= 100) continue;  // It would be a file.
+    ASSERT_TRUE(WriteTiled(folder / "one.drc", mine, alone, {.tile_samples = 100}));
+    for (const auto& [path, bytes] : Contents(folder / "one.drc")) {
+      if (path == "tileset.json") continue;
+      EXPECT_TRUE(all.at(path) == bytes) << path;
+      ++tiles;
+    }
+  }
+  EXPECT_GT(tiles, 10u);
 }
 
 TEST(TileWriter, StaysOneFileUpToTheTileSize) {
