@@ -310,6 +310,8 @@ TEST(TileWriter, WritesTheTilesOfAParcelWithoutTheOthers) {
                           Cell{0, 0, -32}, Cell{0, 0, 0}, Cell{0, 32, -32}, Cell{0, 32, 0}}) {
     header.parcels.push_back({CodeOf(cell), 5, 0});
   }
+  std::sort(header.parcels.begin(), header.parcels.end(),
+            [](const OctreeNode& a, const OctreeNode& b) { return a.first < b.first; });
   ASSERT_TRUE(WriteTiled(folder / "all.drc", samples, header, {.tile_samples = 100}));
   const auto all = Contents(folder / "all.drc");
   std::size_t tiles = 0;
