@@ -205,9 +205,12 @@ void RemoveTree(int parent, const char* name) {
   if (unlinkat(parent, name, 0) == 0 || (errno != EISDIR && errno != EPERM)) return;
   const int fd = openat(parent, name, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
   if (fd < 0) return;
-  for (const std::string& inner : NamesIn(fd)) RemoveTree(fd, inner.c_str());
+  // Another process may still put something in.
+  for (int attempt = 0; attempt < 100; ++attempt) {
+    for (const std::string& inner : NamesIn(fd)) RemoveTree(fd, inner.c_str());
+    if (unlinkat(parent, name, AT_REMOVEDIR) == 0 || (errno != ENOTEMPTY && errno != EEXIST)) break;
+  }
   close(fd);
-  unlinkat(parent, name, AT_REMOVEDIR);
 }
 
 std::string SystemReason(int error) { return std::generic_category().message(error); }
