@@ -38,6 +38,8 @@ class ScratchFile {
   std::uint64_t bytes_read() const { return bytes_read_.load(std::memory_order_relaxed); }
   /// The descriptor, which the caller closes. The file is not used any more.
   int Release() { return std::exchange(fd_, -1); }
+  /// The open file, which stays this object's: to hand on to a child process.
+  int descriptor() const { return fd_; }
 
  private:
   int fd_;

@@ -40,6 +40,10 @@ class HelpFormatter : public CLI::Formatter {
            "       strata scan MESH --share I/N -o PART.run [options]\n"
            "       strata merge PART.run... -o OUTPUT [options]\n"
            "       strata info MESH [--json]\n"
+#ifdef STRATA_SERVICE
+           "       strata serve [options]\n"
+           "       strata key NAME [--role full|read]\n"
+#endif
            "       strata COMMAND --help\n";
   }
   std::string make_help(const CLI::App* app, std::string name,
@@ -153,6 +157,9 @@ Result<void> RefuseExtras(const CLI::App& app, const CLI::App* command) {
     return Refuse("found a second input '" + found + "', expected one");
   }
   std::vector<std::string> names = {"sample", "scan", "merge", "info", "--help", "--version"};
+#ifdef STRATA_SERVICE
+  names.insert(names.end(), {"serve", "key"});
+#endif
   for (const CLI::Option* option : command ? command->get_options() : app.get_options()) {
     for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
   }
@@ -305,17 +312,6 @@ void ConvertRun(const RawSample& raw, Converter& convert, SampleCommand& command
   command.quiet = raw.quiet;
 }
 
-Result<Command> ConvertSample(const RawSample& raw) {
-  SampleCommand command;
-  Converter convert;
-  ConvertPlaces(raw, convert, command);
-  ConvertRun(raw, convert, command);
-  if (raw.format) convert.Text(raw.format, command.format, ParseFormat);
-  if (!raw.format) convert.Text(raw.output, command.format, FormatOfOutput);
-  if (!convert.outcome()) return Forward(convert.outcome());
-  return Command(std::move(command));
-}
-
 // "I/N" with I < N <= most; nothing if it is not.
 std::optional<std::pair<std::uint32_t, std::uint32_t>> ParseOneOf(std::string_view text,
                                                                   std::uint32_t most) {
@@ -415,6 +411,17 @@ Result<Command> ConvertInfo(const RawInfo& raw) {
 
 }  // namespace
 
+Result<SampleCommand> CheckSample(const RawSample& raw) {
+  SampleCommand command;
+  Converter convert;
+  ConvertPlaces(raw, convert, command);
+  ConvertRun(raw, convert, command);
+  if (raw.format) convert.Text(raw.format, command.format, ParseFormat);
+  if (!raw.format) convert.Text(raw.output, command.format, FormatOfOutput);
+  if (!convert.outcome()) return Forward(convert.outcome());
+  return command;
+}
+
 Result<std::uint64_t> ParseSize(std::string_view text) {
   const std::string_view all = text;
   double factor = 1;
@@ -485,7 +492,10 @@ Result<Command> ParseCommandLine(std::span<const std::string> arguments) {
   }
   if (command == scan) return ConvertScan(raw_scan);
   if (command == merge) return ConvertMerge(std::move(raw_merge));
-  return command == sample ? ConvertSample(raw_sample) : ConvertInfo(raw_info);
+  if (command == info) return ConvertInfo(raw_info);
+  auto checked = CheckSample(raw_sample);
+  if (!checked) return Forward(checked);
+  return Command(*std::move(checked));
 }
 
 }  // namespace strata::server

@@ -14,6 +14,7 @@
 #include "core/sample_mesh.h"
 #include "core/scan.h"
 #include "io/sample_writer.h"
+#include "server/option_table.h"
 
 namespace strata::server {
 
@@ -31,6 +32,7 @@ struct SampleCommand {
   std::optional<std::uint64_t> memory;  ///< Bytes, at least kLeastMemory; absent = half of all.
   std::optional<std::string> scratch;   ///< Directory; absent = the system's.
   bool resume = false;                  ///< Go on with what a killed process left in scratch.
+  bool checkpoints = true;              ///< Leave something to go on with, should it be killed.
   bool quiet = false;
 };
 
@@ -70,6 +72,10 @@ using Command = std::variant<SampleCommand, ScanCommand, MergeCommand, InfoComma
 /// Errors: kInvalidArgument, for one problem at a time; the message names the option, what was
 /// found, its range and its default, or the nearest name for one that does not exist.
 Result<Command> ParseCommandLine(std::span<const std::string> arguments);
+
+/// The one place where the texts of a `sample` become values, whoever sent them.
+/// Errors: kInvalidArgument, as ParseCommandLine.
+Result<SampleCommand> CheckSample(const RawSample& raw);
 
 /// Bytes of "268435456", "256M", "256MiB" or "1.5G": K, M, G and T are powers of 1024.
 /// Errors: kInvalidArgument.

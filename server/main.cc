@@ -4,6 +4,8 @@
 #include <cstdio>
 #include <exception>
 #include <new>
+#include <optional>
+#include <span>
 #include <string>
 #include <variant>
 #include <vector>
@@ -14,6 +16,11 @@
 #include "server/interrupt.h"
 #include "server/memory.h"
 #include "server/sample_command.h"
+#ifdef STRATA_SERVICE
+#include "server/serve_command.h"
+#include "server/service/job_process.h"
+#include "server/service/worker.h"
+#endif
 
 namespace strata::server {
 namespace {
@@ -70,8 +77,29 @@ struct Runner {
   }
 };
 
+#ifdef STRATA_SERVICE
+/// The commands of the service, which have a grammar of their own. Nothing: it is none of them.
+std::optional<int> RunServiceCommand(const std::vector<std::string>& arguments) {
+  if (arguments.empty()) return std::nullopt;
+  const std::span rest = std::span(arguments).subspan(1);
+  if (arguments[0] == kWorkerCommand && rest.empty()) return RunWorker();
+  Result<void> outcome;
+  if (arguments[0] == "serve") {
+    outcome = RunServe(rest);
+  } else if (arguments[0] == "key") {
+    outcome = RunKey(rest);
+  } else {
+    return std::nullopt;
+  }
+  return outcome ? 0 : Report(outcome.error(), 0);
+}
+#endif
+
 int Main(const std::vector<std::string>& arguments) {
   try {
+#ifdef STRATA_SERVICE
+    if (const auto status = RunServiceCommand(arguments)) return *status;
+#endif
     const auto command = ParseCommandLine(arguments);
     return command ? std::visit(Runner{}, *command) : Report(command.error(), 0);
   } catch (const std::bad_alloc&) {

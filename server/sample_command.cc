@@ -227,7 +227,7 @@ class Job {
 
   /// What the scan comes to then outlives a process that is killed. Standard input does not.
   Result<void> KeepCheckpoints(const Share& share, const std::optional<Lattice>& lattice) {
-    if (!scratch_ || command_.input == "-") return {};
+    if (!scratch_ || command_.input == "-" || !command_.checkpoints) return {};
     const auto key = JobKey(command_, share, lattice);
     if (!key) return Forward(key);
     auto folder = io::JobFolder::Open(scratch_->path(), *key, command_.resume);
@@ -237,7 +237,7 @@ class Job {
     return {};
   }
 
-  Result<void> Deliver(SampledMesh sampled) {
+  Result<void> Deliver(SampledMesh sampled, JobReport* report = nullptr) {
     const SampleStats& stats = sampled.stats;
     PictureSamples picture(command_.picture.has_value(), stats.survivors);
     auto written = WriteSamples(command_, sampled, picture, context_, figures);
@@ -249,6 +249,7 @@ class Job {
     if (auto noted = WriteSummary(command_, stats, figures); !noted) return noted;
     if (folder_) folder_->Finish();
     if (!command_.quiet) std::fputs(SummaryText(command_, stats, figures).c_str(), stderr);
+    if (report) *report = {stats, figures};
     return {};
   }
 
@@ -361,13 +362,13 @@ Result<void> RunMerge(const MergeCommand& command, RunContext& context) {
   return job.Deliver(std::move(*sampled));
 }
 
-Result<void> RunSample(const SampleCommand& command, RunContext& context) {
+Result<void> RunSample(const SampleCommand& command, RunContext& context, JobReport* report) {
   Job job(command, context);
   if (auto ready = job.Prepare(PlacesOf(command)); !ready) return ready;
   if (auto kept = job.KeepCheckpoints({}, {}); !kept) return kept;
   auto sampled = Sample(command, context, job.figures);
   if (!sampled) return Forward(sampled);
-  return job.Deliver(std::move(*sampled));
+  return job.Deliver(std::move(*sampled), report);
 }
 
 }  // namespace strata::server

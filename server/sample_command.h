@@ -4,8 +4,15 @@
 #include "core/result.h"
 #include "core/run_context.h"
 #include "server/command_line.h"
+#include "server/summary_json.h"
 
 namespace strata::server {
+
+/// What a job came to.
+struct JobReport {
+  SampleStats stats;
+  JobFigures figures;
+};
 
 /// Runs one job from file to file. Progress and a summary for people go to standard error, unless
 /// `quiet`; nothing else is printed except what the command names "-".
@@ -15,7 +22,9 @@ namespace strata::server {
 /// first, then the picture, then the summary.
 /// Errors: kInvalidArgument (two places are the same file, unknown --simd), those of
 /// OpenMesh, SampleMesh and SampleWriter.
-Result<void> RunSample(const SampleCommand& command, RunContext& context);
+/// `report`, if it is given, is filled when all went well.
+Result<void> RunSample(const SampleCommand& command, RunContext& context,
+                       JobReport* report = nullptr);
 
 /// Scans one share of a mesh into a partial. Errors: as RunSample.
 Result<void> RunScan(const ScanCommand& command, RunContext& context);

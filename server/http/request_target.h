@@ -1,0 +1,24 @@
+// What stands after the method in a request line.
+#pragma once
+
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include "server/service/problem.h"
+
+namespace strata::server {
+
+/// A target, decoded.
+struct RequestTarget {
+  std::string path;                                        ///< "/v1/samples"; begins with "/".
+  std::vector<std::pair<std::string, std::string>> query;  ///< In order.
+};
+
+/// Decodes "/path?name=value&…". `%XX` stands for a byte, `+` for itself.
+/// Refuses kMalformed: no leading "/", a broken escape, a control character or NUL (also decoded),
+/// bytes that are not UTF-8.
+Answer<RequestTarget> ParseTarget(std::string_view target);
+
+}  // namespace strata::server

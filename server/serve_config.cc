@@ -1,0 +1,286 @@
+#include "server/serve_config.h"
+
+#include <toml++/toml.h>
+
+#include <CLI/App.hpp>
+#include <CLI/Config.hpp>
+#include <CLI/Formatter.hpp>
+#include <algorithm>
+#include <filesystem>
+#include <sstream>
+#include <thread>
+
+#include "server/memory.h"
+#include "server/nearest_name.h"
+#include "server/parse_number.h"
+
+namespace strata::server {
+namespace {
+
+tl::unexpected<Error> Invalid(std::string message) {
+  return Fail(ErrorCode::kInvalidArgument, std::move(message));
+}
+
+std::vector<std::string> Names() {
+  std::vector<std::string> names;
+  for (const ServeOption& option : ServeOptions()) names.emplace_back(option.name);
+  return names;
+}
+
+std::string HelpOf(const ServeOption& option) {
+  const std::string standard = option.computed ? option.computed : option.standard;
+  return option.help + std::string("\nDefault ") + (standard.empty() ? "none" : standard) + ".";
+}
+
+// --- Texts to values -----------------------------------------------------------------------------
+
+/// Reads checked values out of the texts; keeps the first error.
+class Reader {
+ public:
+  explicit Reader(const ServeTexts& texts) : texts_(texts) {}
+
+  std::string Text(const std::string& name) const {
+    const auto found = texts_.find(name);
+    if (found != texts_.end()) return found->second;
+    return std::ranges::find(ServeOptions(), name, &ServeOption::name)->standard;
+  }
+  bool Has(const std::string& name) const { return texts_.contains(name); }
+
+  /// A whole number from `min` to `max`.
+  std::uint64_t Number(const std::string& name, std::uint64_t min, std::uint64_t max) {
+    const std::string option = "--" + name;
+    const std::string expected =
+        "a whole number from " + std::to_string(min) + " to " + std::to_string(max);
+    return Take(
+        ParseNumber<std::uint64_t>(Text(name), {option.c_str(), min, max, expected.c_str()}), min);
+  }
+  /// A size of at least `min` bytes.
+  std::uint64_t Size(const std::string& name, std::uint64_t min,
+                     std::uint64_t max = std::uint64_t{1} << 60) {
+    const auto bytes = ParseSize(Text(name));
+    if (bytes && *bytes >= min && *bytes <= max) return *bytes;
+    Refuse("--" + name + ": found '" + Text(name) + "', expected a size from " +
+           std::to_string(min) + " to " + std::to_string(max) + " bytes, such as 512M or 4G");
+    return min;
+  }
+  /// Which of `names` it is.
+  std::size_t OneOf(const std::string& name, const std::vector<std::string>& names) {
+    const auto found = std::ranges::find(names, Text(name));
+    if (found != names.end()) return static_cast<std::size_t>(found - names.begin());
+    std::string all;
+    for (const std::string& each : names) all += (all.empty() ? "" : " or ") + each;
+    Refuse("--" + name + ": found '" + Text(name) + "', expected " + all);
+    return 0;
+  }
+  /// "127.0.0.1:8080", "[::1]:8080" or "off".
+  std::optional<Listen> Address(const std::string& name) {
+    const std::string text = Text(name);
+    if (text == "off") return std::nullopt;
+    const std::size_t colon = text.rfind(':');
+    Listen listen;
+    if (colon != std::string::npos) {
+      listen.address = text.substr(0, colon);
+      if (listen.address.starts_with('[') && listen.address.ends_with(']')) {
+        listen.address = listen.address.substr(1, listen.address.size() - 2);
+      }
+      const auto port = ParseNumber<std::uint16_t>(text.substr(colon + 1), {"", 0, 65535, ""});
+      if (port && !listen.address.empty()) {
+        listen.port = *port;
+        return listen;
+      }
+    }
+    Refuse("--" + name + ": found '" + text + "', expected ADDRESS:PORT or off");
+    return std::nullopt;
+  }
+  void Refuse(std::string message) {
+    if (outcome_) outcome_ = Invalid(std::move(message));
+  }
+  const Result<void>& outcome() const { return outcome_; }
+
+ private:
+  template <class T>
+  T Take(const Result<T>& value, T otherwise) {
+    if (value) return *value;
+    if (outcome_) outcome_ = Forward(value);
+    return otherwise;
+  }
+
+  const ServeTexts& texts_;
+  Result<void> outcome_;
+};
+
+HttpLimits HttpLimitsOf(Reader& read) {
+  HttpLimits limits;
+  const auto number = [&read](const char* name, std::uint64_t min, std::uint64_t max) {
+    return static_cast<std::uint32_t>(read.Number(name, min, max));
+  };
+  limits.connections = number("connections", 1, 100'000);
+  limits.header_bytes = static_cast<std::uint32_t>(read.Size("header-size", 1 << 10, 1 << 20));
+  limits.header_fields = number("header-fields", 1, 10'000);
+  limits.header_seconds = number("header-timeout", 1, 3'600);
+  limits.idle_seconds = number("idle-timeout", 1, 86'400);
+  limits.bytes_per_second = number("min-rate", 1, 1'000'000'000);
+  limits.grace_seconds = number("grace", 1, 3'600);
+  return limits;
+}
+
+void ReadMemory(Reader& read, ServiceLimits& limits) {
+  limits.jobs.memory_bytes = read.Has("memory") ? read.Size("memory", kLeastMemory)
+                                                : std::max(kLeastMemory, UsableMemoryBytes() / 2);
+  limits.job_memory_bytes =
+      read.Has("job-memory") ? read.Size("job-memory", kLeastMemory)
+                             : std::max(kLeastMemory, limits.jobs.memory_bytes / limits.jobs.jobs);
+  if (limits.job_memory_bytes > limits.jobs.memory_bytes) {
+    read.Refuse("--job-memory is more than --memory, which all jobs share");
+  }
+}
+
+ServiceLimits ServiceLimitsOf(Reader& read) {
+  const std::uint32_t processors = std::max(1u, std::thread::hardware_concurrency());
+  const auto number = [&read](const char* name, std::uint64_t min, std::uint64_t max) {
+    return static_cast<std::uint32_t>(read.Number(name, min, max));
+  };
+  ServiceLimits limits;
+  limits.body_bytes = read.Size("body-size", 1);
+  limits.requests = number("requests", 1, 10'000);
+  limits.jobs.jobs = read.Has("jobs") ? number("jobs", 1, 1'024) : std::max(2u, processors);
+  limits.jobs.waiting = number("queue", 0, 100'000);
+  const std::uint32_t threads = number("job-threads", 0, 1'024);
+  limits.job_threads = threads > 0 ? threads : processors;
+  limits.job_seconds = number("job-time", 1, 1'000'000);
+  limits.result_bytes = read.Size("result-size", 1);
+  limits.isolate = read.OneOf("isolate", {"on", "off"}) == 0;
+  ReadMemory(read, limits);
+  return limits;
+}
+
+bool IsLoopback(const Listen& listen) {
+  return listen.address == "::1" || listen.address.starts_with("127.");
+}
+
+void CheckAccess(const ServeCommand& command, Reader& read) {
+  const bool insecure = read.OneOf("insecure", {"off", "on"}) == 1;
+  if (!command.http && !command.grpc) read.Refuse("--http and --grpc are both off");
+  if (command.tls.certificate.empty() != command.tls.key.empty()) {
+    read.Refuse("--tls-certificate and --tls-key: give both or none");
+  }
+  if (!command.tls.client_ca.empty() && !command.tls.on()) {
+    read.Refuse("--tls-client-ca needs --tls-certificate and --tls-key");
+  }
+  // A certificate of a client's is as good as a key.
+  if (!command.keys.empty() || !command.tls.client_ca.empty() || insecure) return;
+  for (const auto& listen : {command.http, command.grpc}) {
+    if (!listen || IsLoopback(*listen)) continue;
+    read.Refuse("listening on " + listen->address +
+                " lets everybody who reaches it use the service: configure --keys or "
+                "--tls-client-ca, or say --insecure");
+  }
+}
+
+/// "--insecure" alone, as a flag is written, is "--insecure on".
+std::vector<std::string> WithValues(std::span<const std::string> arguments) {
+  std::vector<std::string> all;
+  for (std::size_t i = 0; i < arguments.size(); ++i) {
+    all.push_back(arguments[i]);
+    const bool alone = i + 1 == arguments.size() || arguments[i + 1].starts_with("--");
+    if (arguments[i] == "--insecure" && alone) all.emplace_back("on");
+  }
+  return all;
+}
+
+std::string TextOf(const toml::node& node) {
+  if (const auto* const text = node.as_string()) return text->get();
+  if (const auto* const truth = node.as_boolean()) return truth->get() ? "on" : "off";
+  if (const auto* const whole = node.as_integer()) return std::to_string(whole->get());
+  return {};
+}
+
+}  // namespace
+
+Result<ServeTexts> ReadServeFile(const std::string& path) {
+  ServeTexts texts;
+  if (std::error_code failed; !std::filesystem::exists(path, failed)) {
+    return Fail(ErrorCode::kNotFound, path + ": no such file");
+  }
+  try {
+    const toml::table table = toml::parse_file(path);
+    for (const auto& [key, node] : table) {
+      const std::string name(key.str());
+      const std::string where = path + ", line " + std::to_string(node.source().begin.line) + ": ";
+      if (std::ranges::find(ServeOptions(), name, &ServeOption::name) == ServeOptions().end()) {
+        const std::string meant = NearestName(name, Names());
+        return Invalid(where + "unknown option '" + name + "'" +
+                       (meant.empty() ? "" : "; did you mean '" + meant + "'?"));
+      }
+      texts[name] = TextOf(node);
+      if (texts[name].empty()) return Invalid(where + name + ": expected a text, number or truth");
+    }
+  } catch (const toml::parse_error& error) {
+    std::ostringstream message;
+    message << path << ", line " << error.source().begin.line << ": " << error.description();
+    return Invalid(message.str());
+  }
+  return texts;
+}
+
+Result<ServeCommand> CheckServe(const ServeTexts& texts) {
+  Reader read(texts);
+  ServeCommand command;
+  command.http = read.Address("http");
+  command.grpc = read.Address("grpc");
+  command.tls = {read.Text("tls-certificate"), read.Text("tls-key"), read.Text("tls-client-ca")};
+  command.keys = read.Text("keys");
+  command.http_limits = HttpLimitsOf(read);
+  command.limits = ServiceLimitsOf(read);
+  if (read.Has("scratch")) command.scratch = read.Text("scratch");
+  command.log_format = static_cast<LogFormat>(read.OneOf("log-format", {"text", "json"}));
+  command.log_level =
+      static_cast<LogLevel>(read.OneOf("log-level", {"debug", "info", "warning", "error"}));
+  command.drain_seconds = static_cast<std::uint32_t>(read.Number("drain-timeout", 0, 86'400));
+  CheckAccess(command, read);
+  if (!read.outcome()) return Forward(read.outcome());
+  return command;
+}
+
+Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments) {
+  CLI::App app("Serves sampling over HTTP and gRPC until SIGTERM or Ctrl-C.", "strata serve");
+  app.set_help_flag("-h,--help", "Print this and stop.");
+  app.get_formatter()->column_width(27);
+  std::optional<std::string> file;
+  ServeTexts given;
+  app.add_option_function<std::string>(
+         "--config", [&file](const std::string& text) { file = text; },
+         "These options as TOML, `name = value`; the command line goes\nbefore it. Default "
+         "strata.toml if there is one.")
+      ->option_text("FILE");
+  for (const ServeOption& option : ServeOptions()) {
+    app.add_option_function<std::string>(
+           std::string("--") + option.name,
+           [&given, name = option.name](const std::string& text) { given[name] = text; },
+           HelpOf(option))
+        ->option_text(option.value)
+        ->group(option.group);
+  }
+  std::vector<std::string> words = WithValues(arguments);
+  std::ranges::reverse(words);  // CLI11 takes its vector back to front.
+  try {
+    app.parse(words);
+  } catch (const CLI::CallForHelp&) {
+    return std::variant<ServeCommand, ShowText>(ShowText{app.help()});
+  } catch (const CLI::Error& error) {
+    return Invalid(std::string(error.what()) + "; see strata serve --help");
+  }
+  constexpr const char* kUsual = "strata.toml";
+  std::error_code failed;
+  if (!file && std::filesystem::exists(kUsual, failed)) file = kUsual;
+  if (file) {
+    auto texts = ReadServeFile(*file);
+    if (!texts) return Forward(texts);
+    given.merge(*texts);
+  }
+  auto command = CheckServe(given);
+  if (!command) return Forward(command);
+  return std::variant<ServeCommand, ShowText>(*std::move(command));
+}
+
+}  // namespace strata::server

@@ -1,0 +1,50 @@
+// From the arguments and strata.toml to a checked configuration of the service.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <variant>
+
+#include "core/result.h"
+#include "server/command_line.h"
+#include "server/http/exchange.h"
+#include "server/http/tls.h"
+#include "server/serve_option_table.h"
+#include "server/service/log.h"
+#include "server/service/service.h"
+
+namespace strata::server {
+
+/// Where a protocol listens.
+struct Listen {
+  std::string address;
+  std::uint16_t port = 0;
+};
+
+/// `strata serve`, every value within its range.
+struct ServeCommand {
+  std::optional<Listen> http, grpc;  ///< Absent: off. At least one is there.
+  TlsFiles tls;
+  std::string keys;  ///< File; empty: none.
+  HttpLimits http_limits;
+  ServiceLimits limits;
+  std::optional<std::string> scratch;
+  LogFormat log_format = LogFormat::kText;
+  LogLevel log_level = LogLevel::kInfo;
+  std::uint32_t drain_seconds = 30;
+};
+
+/// The arguments after "serve". Reads the file of `--config`, or strata.toml in the working
+/// directory if there is one; the command line goes before the file.
+/// Errors: kInvalidArgument, naming option or file and line; kNotFound.
+Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments);
+
+/// The texts of a TOML file: `name = value`, no tables. Errors: kInvalidArgument, kNotFound.
+Result<ServeTexts> ReadServeFile(const std::string& path);
+
+/// The checked configuration. Errors: kInvalidArgument.
+Result<ServeCommand> CheckServe(const ServeTexts& texts);
+
+}  // namespace strata::server

@@ -1,0 +1,70 @@
+#include "server/serve_option_table.h"
+
+#include <array>
+
+namespace strata::server {
+namespace {
+
+constexpr const char* kWhere = "Where it listens";
+constexpr const char* kWho = "Who may ask";
+constexpr const char* kRequest = "One request";
+constexpr const char* kAll = "All requests together";
+constexpr const char* kJob = "Jobs";
+constexpr const char* kRun = "How it runs";
+
+constexpr std::array<ServeOption, 28> kOptions = {{
+    {"http", "ADDR:PORT", kWhere, "HTTP; port 0 takes any free one; off = no HTTP.",
+     "127.0.0.1:8080"},
+    {"grpc", "ADDR:PORT", kWhere, "gRPC; likewise.", "127.0.0.1:8081"},
+    {"tls-certificate", "FILE", kWhere,
+     "PEM: the server's certificate, its chain after it. With it and\n"
+     "the key, both protocols are under TLS.",
+     ""},
+    {"tls-key", "FILE", kWhere, "PEM: its private key.", ""},
+    {"tls-client-ca", "FILE", kWho,
+     "PEM: clients must show a certificate that one of these signed.", ""},
+    {"keys", "FILE", kWho,
+     "API keys, as `strata key` prints them. Without keys everybody who\n"
+     "reaches the service may use it.",
+     ""},
+    {"insecure", "on|off", kWho, "Listen beyond loopback although no keys are configured.", "off"},
+    {"body-size", "SIZE", kRequest, "Largest body.", "4G"},
+    {"header-size", "SIZE", kRequest, "Largest header (gRPC: metadata). 1K to 1M.", "16K"},
+    {"header-fields", "N", kRequest, "Most header fields over HTTP. 1 to 10000.", "64"},
+    {"header-timeout", "SECONDS", kRequest,
+     "For a whole header, and for TLS's handshake, over HTTP. 1 to 3600.", "10"},
+    {"idle-timeout", "SECONDS", kRequest,
+     "Between two requests of a connection over HTTP. 1 to 86400.", "60"},
+    {"min-rate", "BYTES", kRequest,
+     "Bodies slower than this a second on average are ended, either way.\n"
+     "1 to 1000000000.",
+     "1024"},
+    {"grace", "SECONDS", kRequest, "After the first of a body min-rate counts. 1 to 3600.", "10"},
+    {"connections", "N", kAll, "Open at a time over HTTP. 1 to 100000.", "512"},
+    {"requests", "N", kAll, "In flight at a time; more are told to come again (429). 1 to 10000.",
+     "128"},
+    {"jobs", "N", kJob, "Run at a time; others wait. 1 to 1024.", "",
+     "as many as processors, at least 2"},
+    {"queue", "N", kJob, "Wait at a time; more are told to come again (503). 0 to 100000.", "256"},
+    {"memory", "SIZE", kJob, "Of all jobs together. At least 64M.", "",
+     "half of what this process may use"},
+    {"job-memory", "SIZE", kJob, "Of one job. At least 64M.", "",
+     "memory divided by jobs, at least 64M"},
+    {"job-threads", "N", kJob, "Of one job; 0 = all processors. 0 to 1024.", "0"},
+    {"job-time", "SECONDS", kJob, "For one job, waiting excluded. 1 to 1000000.", "600"},
+    {"result-size", "SIZE", kJob, "Largest result.", "4G"},
+    {"isolate", "on|off", kJob, "Each job in a process of its own, so that a crash ends one job.",
+     "on"},
+    {"scratch", "DIR", kRun, "Meshes and results while their requests last.", "",
+     "the system's directory for temporary files"},
+    {"log-format", "NAME", kRun, "text or json, to standard error.", "text"},
+    {"log-level", "NAME", kRun, "debug, info, warning or error.", "info"},
+    {"drain-timeout", "SECONDS", kRun,
+     "After SIGTERM or Ctrl-C, for requests in flight to end. 0 to 86400.", "30"},
+}};
+
+}  // namespace
+
+std::span<const ServeOption> ServeOptions() { return kOptions; }
+
+}  // namespace strata::server
