@@ -114,9 +114,9 @@ void Drain(Running& running, const sigset_t& signals, std::uint32_t seconds) {
   running.service->Drain();
   if (running.rpc) running.rpc->StopServing();
   if (running.http) running.http->StopAccepting();
-  const auto deadline = Clock::now() + std::chrono::seconds(seconds);
+  const auto deadline = SteadyClock::now() + std::chrono::seconds(seconds);
   constexpr timespec kTick = {0, 50'000'000};
-  while (running.service->requests_in_flight() > 0 && Clock::now() < deadline) {
+  while (running.service->requests_in_flight() > 0 && SteadyClock::now() < deadline) {
     if (sigtimedwait(&signals, nullptr, &kTick) > 0) break;
   }
   const std::uint64_t left = running.service->requests_in_flight();

@@ -2,11 +2,13 @@
 
 #include <arpa/inet.h>
 #include <netinet/in.h>
+#include <poll.h>
 #include <sys/socket.h>
 
 #include <array>
 #include <boost/asio/error.hpp>
 #include <boost/beast/http/read.hpp>
+#include <cerrno>
 #include <cstdint>
 #include <exception>
 #include <iterator>
@@ -67,19 +69,25 @@ class Connection {
   }
 
  private:
-  Clock::time_point HeaderDeadline() const {
-    return Clock::now() + std::chrono::seconds(shared_.limits.header_seconds);
+  SteadyClock::time_point HeaderDeadline() const {
+    return SteadyClock::now() + std::chrono::seconds(shared_.limits.header_seconds);
   }
 
+  /// Reads the first bytes of a request. Only here does `stop` end the waiting.
   bool AwaitRequest() {
-    if (buffer_.size() > 0 || transport_.HasPending()) return true;
-    const auto deadline = Clock::now() + std::chrono::seconds(shared_.limits.idle_seconds);
-    return WaitReadable(transport_.descriptor(), shared_.stop, deadline);
+    if (buffer_.size() > 0) return true;
+    const auto space = buffer_.prepare(4096);
+    transport_.SetDeadline(SteadyClock::now() + std::chrono::seconds(shared_.limits.idle_seconds));
+    transport_.SetStop(shared_.stop);
+    error_code error;
+    buffer_.commit(transport_.ReadSome(space.data(), space.size(), error));
+    transport_.SetStop(-1);
+    return !error;
   }
 
   /// Whether another may follow.
   bool ServeOne() {
-    start_ = Clock::now();
+    start_ = SteadyClock::now();
     RequestParser parser;
     parser.header_limit(shared_.limits.header_bytes);
     parser.body_limit(UINT64_MAX);  // Each endpoint has its own.
@@ -88,7 +96,8 @@ class Connection {
     BeastStream stream(transport_);
     http::read_header(stream, buffer_, parser, error);
     const bool nothing_came = error == http::error::end_of_stream ||
-                              (error && error.category() == boost::system::system_category());
+                              (error && error != boost::asio::error::timed_out &&
+                               error.category() == boost::system::system_category());
     if (nothing_came) return false;
     HttpExchange exchange(shared_, transport_, buffer_, parser);
     const Routed routed = error ? RefuseHeader(exchange, ProblemOfHeader(error, shared_.limits))
@@ -98,6 +107,7 @@ class Connection {
   }
 
   static Routed RefuseHeader(HttpExchange& exchange, const Problem& problem) {
+    exchange.CloseAfterwards();
     exchange.RespondProblem(problem);
     return {};
   }
@@ -119,7 +129,7 @@ class Connection {
   }
 
   void Note(const HttpExchange& exchange, const Routed& routed) const {
-    const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
+    const double seconds = std::chrono::duration<double>(SteadyClock::now() - start_).count();
     shared_.service.metrics().Count({"http", routed.endpoint, exchange.status(), seconds,
                                      exchange.bytes_in(), exchange.bytes_out()});
     Log(LogLevel::kInfo, "request",
@@ -139,17 +149,16 @@ class Connection {
   /// Reads on a little after the last answer: closing a socket that holds unread bytes resets the
   /// connection, and the client would lose the answer that says why.
   void Linger() {
-    transport_.SetDeadline(Clock::now() + std::chrono::seconds(1));
+    transport_.SetDeadline(SteadyClock::now() + std::chrono::seconds(1));
     transport_.FinishWriting();
-    const auto deadline = Clock::now() + std::chrono::seconds(2);
+    const auto deadline = SteadyClock::now() + std::chrono::seconds(2);
+    pollfd waited = {transport_.descriptor(), POLLIN, 0};
     std::array<char, 16384> scrap;
-    for (std::size_t read = 0; read < (std::size_t{16} << 20) && Clock::now() < deadline;) {
-      const ssize_t n =
-          WaitReadable(transport_.descriptor(), shared_.stop, deadline)
-              ? recv(transport_.descriptor(), scrap.data(), scrap.size(), MSG_DONTWAIT)
-              : 0;
-      if (n <= 0) return;
-      read += static_cast<std::size_t>(n);
+    for (std::size_t read = 0; read < (std::size_t{16} << 20) && SteadyClock::now() < deadline;) {
+      if (poll(&waited, 1, 100) < 0) return;
+      const ssize_t n = recv(waited.fd, scrap.data(), scrap.size(), MSG_DONTWAIT);
+      if (n == 0 || (n < 0 && errno != EAGAIN && errno != EINTR)) return;
+      read += n > 0 ? static_cast<std::size_t>(n) : 0;
     }
   }
 
@@ -157,7 +166,7 @@ class Connection {
   Transport& transport_;
   const std::string peer_;
   boost::beast::flat_buffer buffer_;
-  Clock::time_point start_;
+  SteadyClock::time_point start_;
 };
 
 }  // namespace

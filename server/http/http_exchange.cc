@@ -21,10 +21,13 @@ using boost::system::error_code;
 
 constexpr std::size_t kPiece = 64 << 10;  // Of a body, at a time.
 
-Clock::time_point RateDeadline(const HttpLimits& limits, Clock::time_point start,
-                               std::uint64_t bytes) {
-  return start + std::chrono::seconds(limits.grace_seconds) +
-         std::chrono::seconds(bytes / std::max<std::uint64_t>(1, limits.bytes_per_second));
+/// When the next byte must have moved: soon enough for the average since `start`, and within the
+/// grace whatever moved before, so that no burst buys a long silence.
+SteadyClock::time_point RateDeadline(const HttpLimits& limits, SteadyClock::time_point start,
+                                     std::uint64_t bytes) {
+  const std::chrono::seconds grace(limits.grace_seconds);
+  const std::chrono::seconds earned(bytes / std::max<std::uint64_t>(1, limits.bytes_per_second));
+  return std::min(start + grace + earned, SteadyClock::now() + grace);
 }
 
 }  // namespace
@@ -61,7 +64,7 @@ Answer<void> HttpExchange::CheckExpectation() {
   }
   if (buffer_.size() > 0) return {};  // The body is on its way already.
   constexpr std::string_view kContinue = "HTTP/1.1 100 Continue\r\n\r\n";
-  transport_.SetDeadline(Clock::now() + std::chrono::seconds(shared_.limits.grace_seconds));
+  transport_.SetDeadline(SteadyClock::now() + std::chrono::seconds(shared_.limits.grace_seconds));
   error_code error;
   BeastStream stream(transport_);
   boost::asio::write(stream, boost::asio::buffer(kContinue.data(), kContinue.size()), error);
@@ -105,7 +108,7 @@ Answer<void> HttpExchange::ReadBody(std::uint64_t limit,
   if (auto expected = CheckExpectation(); !expected) return expected;
   std::vector<char> piece(kPiece);
   buffer_.reserve(kPiece);
-  const auto start = Clock::now();
+  const auto start = SteadyClock::now();
   while (!parser_.is_done()) {
     transport_.SetDeadline(RateDeadline(shared_.limits, start, bytes_in_));
     const auto got = ReadPiece(piece.data(), piece.size());
@@ -132,7 +135,7 @@ bool HttpExchange::SendHeader(int status, const Headers& headers, std::uint64_t 
   for (const auto& [name, value] : headers) response.insert(name, value);
   if (status != 204 && status != 304) response.content_length(size);
   response.keep_alive(reusable_);
-  started_sending_ = Clock::now();
+  started_sending_ = SteadyClock::now();
   transport_.SetDeadline(RateDeadline(shared_.limits, started_sending_, 0));
   error_code error;
   BeastStream stream(transport_);

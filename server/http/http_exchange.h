@@ -66,6 +66,8 @@ class HttpExchange final : public Exchange {
   void RespondProblem(const Problem& problem, const Headers& headers = {}) override;
 
   void SetTarget(RequestTarget target) { target_ = std::move(target); }
+  /// No request follows on this connection, whatever the client asked for.
+  void CloseAfterwards() { reusable_ = false; }
   /// Whether another request may follow on this connection.
   bool reusable() const { return reusable_; }
   const std::string& request_id() const { return request_id_; }
@@ -88,7 +90,7 @@ class HttpExchange final : public Exchange {
   bool reusable_;
   int status_ = 0;
   std::uint64_t bytes_in_ = 0, bytes_out_ = 0;
-  Clock::time_point started_sending_;
+  SteadyClock::time_point started_sending_;
 };
 
 }  // namespace strata::server

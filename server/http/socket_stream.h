@@ -37,14 +37,16 @@ class SocketStream {
   executor_type get_executor();
   lowest_layer_type& lowest_layer() { return *this; }
 
-  void SetDeadline(Clock::time_point deadline) { deadline_ = deadline; }
+  void SetDeadline(SteadyClock::time_point deadline) { deadline_ = deadline; }
+  void SetStop(int stop) { stop_ = stop; }
   int descriptor() const { return socket_; }
 
  private:
   bool Wait(short events, boost::system::error_code& error) const;
 
   int socket_;
-  Clock::time_point deadline_ = Clock::time_point::max();
+  int stop_ = -1;
+  SteadyClock::time_point deadline_ = SteadyClock::time_point::max();
 };
 
 }  // namespace strata::server

@@ -25,9 +25,6 @@ class Tls final : public Transport {
     return stream_.write_some(boost::asio::buffer(from, size), error);
   }
   void Handshake(error_code& error) override { stream_.handshake(ssl::stream_base::server, error); }
-  bool HasPending() const override {
-    return SSL_pending(const_cast<Tls*>(this)->stream_.native_handle()) > 0;
-  }
   void FinishWriting() override {
     // The answer to close_notify is not waited for: the socket's end says the same.
     SSL_set_shutdown(stream_.native_handle(), SSL_RECEIVED_SHUTDOWN);
@@ -35,9 +32,10 @@ class Tls final : public Transport {
     stream_.shutdown(ignored);
     shutdown(stream_.next_layer().descriptor(), SHUT_WR);
   }
-  void SetDeadline(Clock::time_point deadline) override {
+  void SetDeadline(SteadyClock::time_point deadline) override {
     stream_.next_layer().SetDeadline(deadline);
   }
+  void SetStop(int stop) override { stream_.next_layer().SetStop(stop); }
   int descriptor() const override { return stream_.next_layer().descriptor(); }
 
  private:

@@ -20,9 +20,9 @@ namespace {
 using boost::system::error_code;
 
 /// Milliseconds until `deadline` for poll, at most an hour, rounded up.
-int PollTime(Clock::time_point deadline) {
-  if (deadline == Clock::time_point::max()) return -1;
-  const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - Clock::now());
+int PollTime(SteadyClock::time_point deadline) {
+  if (deadline == SteadyClock::time_point::max()) return -1;
+  const auto left = std::chrono::ceil<std::chrono::milliseconds>(deadline - SteadyClock::now());
   return static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, 3'600'000));
 }
 
@@ -36,9 +36,9 @@ class Plain final : public Transport {
     return stream_.Write(from, size, error);
   }
   void Handshake(error_code& error) override { error = {}; }
-  bool HasPending() const override { return false; }
   void FinishWriting() override { shutdown(stream_.descriptor(), SHUT_WR); }
-  void SetDeadline(Clock::time_point deadline) override { stream_.SetDeadline(deadline); }
+  void SetDeadline(SteadyClock::time_point deadline) override { stream_.SetDeadline(deadline); }
+  void SetStop(int stop) override { stream_.SetStop(stop); }
   int descriptor() const override { return stream_.descriptor(); }
 
  private:
@@ -61,12 +61,12 @@ SocketStream::executor_type SocketStream::get_executor() {
 }
 
 bool SocketStream::Wait(short events, error_code& error) const {
-  pollfd waited = {socket_, events, 0};
-  const int ready = poll(&waited, 1, PollTime(deadline_));
-  if (ready > 0 || (ready < 0 && errno == EINTR)) return true;
-  error = ready == 0 ? error_code(boost::asio::error::timed_out)
-                     : error_code(errno, boost::system::system_category());
-  return false;
+  std::array<pollfd, 2> waited = {{{socket_, events, 0}, {stop_, POLLIN, 0}}};  // -1 is skipped.
+  const int ready = poll(waited.data(), waited.size(), PollTime(deadline_));
+  if (ready < 0 && errno != EINTR) error = error_code(errno, boost::system::system_category());
+  if (ready == 0) error = boost::asio::error::timed_out;
+  if (ready > 0 && waited[0].revents == 0) error = boost::asio::error::operation_aborted;
+  return !error;
 }
 
 std::size_t SocketStream::Read(void* into, std::size_t size, error_code& error) {
@@ -98,15 +98,6 @@ std::size_t SocketStream::Write(const void* from, std::size_t size, error_code& 
 bool PeerIsGone(int socket) {
   pollfd waited = {socket, POLLRDHUP, 0};
   return poll(&waited, 1, 0) > 0;
-}
-
-bool WaitReadable(int socket, int stop, Clock::time_point deadline) {
-  std::array<pollfd, 2> waited = {{{socket, POLLIN, 0}, {stop, POLLIN, 0}}};
-  while (true) {
-    const int ready = poll(waited.data(), waited.size(), PollTime(deadline));
-    if (ready < 0 && errno == EINTR) continue;
-    return ready > 0 && waited[0].revents != 0;
-  }
 }
 
 std::unique_ptr<Transport> PlainTransport(int socket) { return std::make_unique<Plain>(socket); }

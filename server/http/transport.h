@@ -8,7 +8,7 @@
 
 namespace strata::server {
 
-using Clock = std::chrono::steady_clock;
+using SteadyClock = std::chrono::steady_clock;
 
 /// A connected socket, plain or under TLS. Blocking, with a deadline: threads wait here and nowhere
 /// else. Threads: one at a time.
@@ -23,21 +23,18 @@ class Transport {
                                 boost::system::error_code& error) = 0;
   /// What must come before the first byte: TLS's handshake. Errors: as ReadSome.
   virtual void Handshake(boost::system::error_code& error) = 0;
-  /// Bytes that were received and not yet read (TLS keeps some).
-  virtual bool HasPending() const = 0;
   /// Sends what remains and tells the peer that nothing more comes.
   virtual void FinishWriting() = 0;
 
   /// Of all later calls.
-  virtual void SetDeadline(Clock::time_point deadline) = 0;
+  virtual void SetDeadline(SteadyClock::time_point deadline) = 0;
+  /// While `stop` is not -1, waiting also ends when it becomes readable: operation_aborted.
+  virtual void SetStop(int stop) = 0;
   virtual int descriptor() const = 0;
 };
 
 /// Whether the peer of `socket` has closed it, or its own half of it.
 bool PeerIsGone(int socket);
-
-/// Waits until `socket` can be read. False: the deadline passed, or `stop` became readable.
-bool WaitReadable(int socket, int stop, Clock::time_point deadline);
 
 /// Takes over a connected socket.
 std::unique_ptr<Transport> PlainTransport(int socket);

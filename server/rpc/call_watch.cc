@@ -24,14 +24,25 @@ CallWatch::~CallWatch() {
   thread_.join();
 }
 
+bool CallWatch::IsTooSlow(Transfer& transfer) const {
+  constexpr double kMessage = 1 << 20;
+  const auto now = std::chrono::steady_clock::now();
+  const std::uint64_t bytes = transfer.bytes_;
+  if (bytes != transfer.seen_) {
+    transfer.seen_ = bytes;
+    transfer.moved_ = now;
+  }
+  const auto rate = static_cast<double>(rate_.bytes_per_second);
+  const std::chrono::duration<double> whole = now - transfer.start_ - rate_.grace;
+  const std::chrono::duration<double> silence = now - transfer.moved_ - rate_.grace;
+  return whole.count() * rate > static_cast<double>(bytes) || silence.count() * rate > kMessage;
+}
+
 void CallWatch::Look() {
   std::unique_lock lock(mutex_);
   while (!wake_.wait_for(lock, std::chrono::seconds(1), [this] { return stopped_; })) {
-    const auto now = std::chrono::steady_clock::now();
     for (Transfer* const transfer : transfers_) {
-      const std::chrono::duration<double> late = now - transfer->start_ - rate_.grace;
-      const double least = late.count() * static_cast<double>(rate_.bytes_per_second);
-      if (static_cast<double>(transfer->bytes_) >= least || transfer->too_slow_) continue;
+      if (transfer->too_slow_ || !IsTooSlow(*transfer)) continue;
       transfer->too_slow_ = true;
       transfer->context_.TryCancel();
     }

@@ -16,7 +16,8 @@ namespace strata::server {
 /// A thread that looks at every open transfer once a second. Threads: any.
 class CallWatch {
  public:
-  /// Transfers slower than this on average, beyond the first `grace`, are cancelled.
+  /// Transfers slower than this on average, beyond the first `grace`, are cancelled; likewise those
+  /// whose next message of 1 MiB is slower.
   struct Rate {
     std::uint64_t bytes_per_second;
     std::chrono::seconds grace;
@@ -41,6 +42,8 @@ class CallWatch {
     const std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
     std::atomic<std::uint64_t> bytes_{0};
     std::atomic<bool> too_slow_{false};
+    std::uint64_t seen_ = 0;  // Of bytes_, by the watch, which alone uses these two.
+    std::chrono::steady_clock::time_point moved_ = start_;
     std::list<Transfer*>::iterator place_;
   };
 
@@ -50,6 +53,7 @@ class CallWatch {
 
  private:
   void Look();
+  bool IsTooSlow(Transfer& transfer) const;
 
   const Rate rate_;
   std::mutex mutex_;

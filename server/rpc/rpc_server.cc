@@ -75,6 +75,7 @@ Result<std::unique_ptr<RpcServer>> RpcServer::Start(const Options& options, Serv
     return Fail(ErrorCode::kIo, "cannot listen for gRPC on " + where +
                                     ": the port is in use, or the certificate and key do not fit");
   }
+  state->server->GetHealthCheckService()->SetServingStatus("strata.v1.Sampling", true);
   return std::unique_ptr<RpcServer>(new RpcServer(std::move(state)));
 }
 

@@ -14,7 +14,7 @@
 namespace strata::server {
 namespace {
 
-using Clock = std::chrono::steady_clock;
+using SteadyClock = std::chrono::steady_clock;
 constexpr std::chrono::milliseconds kTick{50};
 
 std::string PathOf(int descriptor) { return "/dev/fd/" + std::to_string(descriptor); }
@@ -70,12 +70,12 @@ Result<v1::SampleSummary> RunJob(const internal::WorkerJob& job, int mesh, int r
 Result<v1::SampleSummary> RunJobInProcess(const internal::WorkerJob& job, int mesh, int result,
                                           const JobWatch& watch) {
   RunContext context(job.memory_bytes());
-  const auto start = Clock::now();
+  const auto start = SteadyClock::now();
   auto running = std::async(std::launch::async, [&] { return RunJob(job, mesh, result, context); });
   Result<void> kept;
   while (running.wait_for(kTick) != std::future_status::ready) {
     if (watch.progress) watch.progress(ProgressOf(context));
-    const double seconds = std::chrono::duration<double>(Clock::now() - start).count();
+    const double seconds = std::chrono::duration<double>(SteadyClock::now() - start).count();
     if (kept) kept = CheckJobLimits(job, result, seconds);
     if (kept && watch.gone && watch.gone()) kept = Cancelled();
     if (!kept) context.Cancel();

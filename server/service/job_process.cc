@@ -24,7 +24,7 @@
 namespace strata::server {
 namespace {
 
-using Clock = std::chrono::steady_clock;
+using SteadyClock = std::chrono::steady_clock;
 constexpr int kTickMs = 50;
 
 /// A descriptor that is closed with it.
@@ -190,7 +190,7 @@ Result<v1::SampleSummary> Finish(const internal::WorkerEvent& last) {
 
 Result<v1::SampleSummary> RunJobIsolated(const internal::WorkerJob& job, int mesh, int result,
                                          const JobWatch& watch) {
-  const auto start = Clock::now();
+  const auto start = SteadyClock::now();
   Child child;
   if (auto started = child.Start(job, mesh, result); !started) return Forward(started);
   while (!child.ended()) {
@@ -201,7 +201,7 @@ Result<v1::SampleSummary> RunJobIsolated(const internal::WorkerJob& job, int mes
       }
       if (watch.progress) watch.progress(event->progress());
     }
-    const double seconds = std::chrono::duration<double>(Clock::now() - start).count();
+    const double seconds = std::chrono::duration<double>(SteadyClock::now() - start).count();
     if (auto kept = CheckJobLimits(job, result, seconds); !kept) return Forward(kept);
     if (watch.gone && watch.gone()) return Cancelled();
   }

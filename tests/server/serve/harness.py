@@ -1,0 +1,251 @@
+"""A service of the test's own on loopback, and raw sockets to it."""
+import json
+import os
+import pathlib
+import re
+import select
+import signal
+import socket
+import subprocess
+import tempfile
+import threading
+import time
+import unittest
+
+ARGUMENTS = {}  # Set by main().
+PATIENCE = 60.0  # Seconds for what normally takes milliseconds; only a hang reaches it.
+
+
+def strata():
+    return ARGUMENTS['strata']
+
+
+def wait_until(condition, what):
+    """Polls until `condition` holds; fails, naming `what`, when it never does."""
+    deadline = time.monotonic() + PATIENCE
+    while not (value := condition()):
+        if time.monotonic() > deadline:
+            raise AssertionError(f'waited {PATIENCE} s for: {what}')
+        select.select([], [], [], 0.01)
+    return value
+
+
+class Server:
+    """`strata serve` with free ports and a JSON log, ended with SIGTERM."""
+
+    def __init__(self, *options, config='', environment=None):
+        self.folder = tempfile.TemporaryDirectory()
+        self.path = pathlib.Path(self.folder.name)
+        (self.path / 'scratch').mkdir()
+        (self.path / 'strata.toml').write_text(config)
+        listen = [] if any(o.startswith('--http') for o in options) else ['--http', '127.0.0.1:0']
+        listen += [] if any(o.startswith('--grpc') for o in options) else ['--grpc', '127.0.0.1:0']
+        self.log = []
+        self.process = subprocess.Popen(
+            [strata(), 'serve', *listen, '--log-format', 'json', '--scratch',
+             str(self.path / 'scratch'), *options],
+            stderr=subprocess.PIPE, text=True, cwd=self.path,
+            env={**os.environ, **(environment or {})})
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+        started = wait_until(lambda: self.events('serving') or self.process.poll() is not None,
+                             'the server to listen')
+        if started is True:
+            self.reader.join()
+            raise AssertionError(f'the server ended: {self.log}')
+        self.http_port = self._port('http')
+        self.grpc_port = self._port('grpc')
+
+    def _read(self):
+        for line in self.process.stderr:
+            try:
+                self.log.append(json.loads(line))
+            except ValueError:
+                self.log.append({'event': 'text', 'line': line})
+
+    def _port(self, protocol):
+        where = self.events('serving')[0][protocol]
+        return int(where.rsplit(':', 1)[1]) if ':' in where else 0
+
+    def events(self, name):
+        return [line for line in list(self.log) if line.get('event') == name]
+
+    def request_line(self, request_id):
+        """The log line of a request, which comes just after its answer."""
+        return wait_until(lambda: [line for line in self.events('request')
+                                   if line['request_id'] == request_id],
+                          f'the log line of {request_id}')[0]
+
+    def children(self):
+        text = pathlib.Path(f'/proc/{self.process.pid}/task').glob('*/children')
+        return [pid for path in text for pid in path.read_text().split()]
+
+    def resident_bytes(self):
+        text = pathlib.Path(f'/proc/{self.process.pid}/status').read_text()
+        return int(re.search(r'VmRSS:\s+(\d+)', text)[1]) * 1024
+
+    def stop(self, number=signal.SIGTERM):
+        """Ends the service, returns its exit status."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        status = self.process.wait(PATIENCE)
+        self.reader.join()
+        self.process.stderr.close()
+        self.folder.cleanup()
+        return status
+
+    # --- curl ---
+
+    def curl(self, path, *options, body=None):
+        """One request by curl: Answer."""
+        with tempfile.TemporaryDirectory() as folder:
+            out, head = pathlib.Path(folder) / 'out', pathlib.Path(folder) / 'head'
+            done = subprocess.run(
+                ['curl', '--silent', '--show-error', '--max-time', '120', '--output', out,
+                 '--dump-header', head, *(['--data-binary', '@-'] if body is not None else []),
+                 *options, f'http://127.0.0.1:{self.http_port}{path}'],
+                input=body, capture_output=True)
+            if done.returncode:
+                raise AssertionError(f'curl {path}: {done.stderr.decode()}')
+            return Answer(head.read_bytes(), out.read_bytes() if out.exists() else b'')
+
+    # --- raw bytes ---
+
+    def connect(self):
+        connection = socket.create_connection(('127.0.0.1', self.http_port), PATIENCE)
+        connection.settimeout(PATIENCE)
+        return connection
+
+    def exchange(self, raw, close_writing=False):
+        """Sends raw bytes, reads until the server closes: all that came."""
+        with self.connect() as connection:
+            try:
+                connection.sendall(raw)
+            except (BrokenPipeError, ConnectionResetError):
+                pass  # The server may answer and close before everything is sent.
+            if close_writing:
+                connection.shutdown(socket.SHUT_WR)
+            return read_to_end(connection)
+
+    def metric(self, name):
+        """The value of an exposed series, by its whole name with labels."""
+        text = self.curl('/metrics').body.decode()
+        found = re.search(rf'^{re.escape(name)} (\S+)$', text, re.M)
+        return float(found[1]) if found else 0.0
+
+
+def read_to_end(connection):
+    received = b''
+    try:
+        while piece := connection.recv(65536):
+            received += piece
+    except ConnectionResetError:
+        pass
+    return received
+
+
+class Answer:
+    """A status, headers (names in lower case) and a body."""
+
+    def __init__(self, head, body):
+        blocks = [block for block in head.split(b'\r\n\r\n') if block.startswith(b'HTTP/')]
+        lines = blocks[-1].decode('latin-1').split('\r\n')
+        self.status = int(lines[0].split()[1])
+        self.headers = {}
+        for line in lines[1:]:
+            name, _, value = line.partition(':')
+            self.headers[name.lower()] = value.strip()
+        self.body = body
+
+    @classmethod
+    def parse(cls, raw):
+        """From raw bytes; an interim 100 is skipped."""
+        while raw.startswith(b'HTTP/1.1 100'):
+            raw = raw.partition(b'\r\n\r\n')[2]
+        head, _, body = raw.partition(b'\r\n\r\n')
+        return cls(head + b'\r\n\r\n', body)
+
+    def json(self):
+        return json.loads(self.body)
+
+
+def sample_by_command(mesh, suffix, *options):
+    """What `strata sample` writes."""
+    with tempfile.TemporaryDirectory() as folder:
+        output = pathlib.Path(folder) / f'out.{suffix}'
+        subprocess.run([strata(), 'sample', mesh, '-o', output, '--quiet', *options], check=True)
+        return output.read_bytes()
+
+
+def spot():
+    return pathlib.Path(ARGUMENTS['source']) / 'models' / 'spot.obj'
+
+
+CUBE = b''.join(b'v %d %d %d\n' % (x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)) + b'''\
+f 1 2 4 3
+f 5 7 8 6
+f 1 5 6 2
+f 3 4 8 7
+f 1 3 7 5
+f 2 6 8 4
+'''
+
+
+# A job of many seconds with a small body: 54 million cells.
+LONG = '/v1/samples?resolution=3000&format=xyz'
+
+
+def long_request():
+    """LONG as raw bytes."""
+    return (b'POST %s HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n' %
+            (LONG.encode(), len(CUBE)) + CUBE)
+
+
+class ServerCase(unittest.TestCase):
+    """A test class with one server for all its tests; `options` are its flags."""
+    options = ()
+
+    @classmethod
+    def setUpClass(cls):
+        cls.server = Server(*cls.options)
+
+    @classmethod
+    def tearDownClass(cls):
+        status = cls.server.stop()
+        assert status == 0, f'the server ended with {status}: {cls.server.log[-5:]}'
+
+    def assertProblem(self, answer, status, kind, detail=''):
+        """An RFC 9457 answer of this type, whose detail holds these words."""
+        self.assertEqual(answer.status, status, answer.body[:400])
+        self.assertEqual(answer.headers['content-type'], 'application/problem+json')
+        problem = answer.json()
+        self.assertEqual(problem['type'], f'/problems/{kind}', problem)
+        self.assertEqual(problem['status'], status)
+        self.assertEqual(problem['request_id'], answer.headers['x-request-id'])
+        self.assertIn(detail, problem['detail'])
+        return problem
+
+
+def main():
+    import argparse
+    import sys
+    parser = argparse.ArgumentParser()
+    for name in ('--strata', '--source', '--protoc', '--grpc-python-plugin', '--sanitized'):
+        parser.add_argument(name, default='')
+    options, rest = parser.parse_known_args()
+    ARGUMENTS.update(vars(options))
+    unittest.main(module='__main__', argv=[sys.argv[0], *rest], verbosity=2)
+
+
+def routes():
+    """The paths of the table in server/http/endpoints.cc."""
+    text = (pathlib.Path(ARGUMENTS['source']) / 'server/http/endpoints.cc').read_text()
+    table = text[text.index('kRoutes'):]
+    return [path.replace('...', '') for path in re.findall(r'\{"[A-Z]+", "(/[^"]*)"', table)]
+
+
+def sample_option_names():
+    """The fields of strata.v1.SampleOptions."""
+    text = (pathlib.Path(ARGUMENTS['source']) / 'proto/strata/v1/options.proto').read_text()
+    message = text[text.index('message SampleOptions'):text.index('message Progress')]
+    return set(re.findall(r'^ +(?:optional )?\w+ (\w+) = \d+;', message, re.M))

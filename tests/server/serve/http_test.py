@@ -1,0 +1,191 @@
+#!/usr/bin/env python3
+"""HTTP as curl speaks it: what is answered to a well-behaved client."""
+import json
+import re
+
+import harness
+from harness import CUBE, ServerCase, sample_by_command, spot
+
+
+class Samples(ServerCase):
+
+    def test_every_format_has_the_bytes_of_the_command(self):
+        for name, media_type in [('drc', 'model/vnd.draco'), ('ply', 'model/vnd.ply'),
+                                 ('xyz', 'text/plain'), ('npz', 'application/x-npz')]:
+            expected = sample_by_command(spot(), name, '--resolution', '40')
+            answer = self.server.curl(f'/v1/samples?resolution=40&format={name}',
+                                      body=spot().read_bytes())
+            self.assertEqual(answer.status, 200, answer.body)
+            self.assertEqual(answer.headers['content-type'], media_type)
+            self.assertEqual(int(answer.headers['content-length']), len(expected))
+            self.assertTrue(answer.body == expected, f'{name}: other bytes than the command')
+
+    def test_every_option_has_the_bytes_of_the_command(self):
+        options = {'lambda': '2.5', 'min-distance': '0.8', 'seed': '18446744073709551615',
+                   'integrator': 'subdivide', 'attributes': 'normal,cell,area',
+                   'voxel-size': '0.07'}
+        flags = [word for name, value in options.items() for word in (f'--{name}', value)]
+        query = '&'.join(f'{name}={value}' for name, value in options.items())
+        plain = self.server.curl(f'/v1/samples?format=npz&{query}', body=spot().read_bytes())
+        under = self.server.curl(f'/v1/samples?format=npz&{query.replace("-", "_")}',
+                                 body=spot().read_bytes())
+        expected = sample_by_command(spot(), 'npz', *flags)
+        self.assertEqual(plain.status, 200, plain.body)
+        self.assertTrue(plain.body == expected)
+        self.assertTrue(under.body == expected)
+        for name, value in [('height', '5'), ('position-error', '0.05')]:
+            answer = self.server.curl(f'/v1/samples?{name}={value}', body=spot().read_bytes())
+            self.assertTrue(answer.body == sample_by_command(spot(), 'drc', f'--{name}', value))
+
+    def test_how_it_runs_changes_no_byte(self):
+        expected = sample_by_command(spot(), 'ply', '--resolution', '30')
+        for run in ('threads=1', 'memory=67108864', 'batch_size=3', 'strict=true', 'strict'):
+            answer = self.server.curl(f'/v1/samples?resolution=30&format=ply&{run}',
+                                      body=spot().read_bytes())
+            self.assertTrue(answer.body == expected, run)
+
+    def test_accept_chooses_the_format(self):
+        for accept, media_type in [('model/vnd.ply', 'model/vnd.ply'),
+                                   ('text/plain;q=0.5, application/x-npz', 'application/x-npz'),
+                                   ('*/*', 'model/vnd.draco'),
+                                   ('model/*', 'model/vnd.draco'),
+                                   ('model/vnd.draco;q=0, */*', 'model/vnd.ply'),
+                                   ('application/octet-stream', 'model/vnd.draco')]:
+            answer = self.server.curl('/v1/samples?resolution=5', '-H', f'Accept: {accept}',
+                                      body=CUBE)
+            self.assertEqual(answer.headers['content-type'], media_type, accept)
+        self.assertProblem(self.server.curl('/v1/samples', '-H', 'Accept: image/png', body=CUBE),
+                           406, 'not-acceptable', 'model/vnd.draco, model/vnd.ply')
+
+    def test_the_summary_is_in_a_header(self):
+        answer = self.server.curl('/v1/samples?resolution=9&format=xyz', body=CUBE)
+        summary = json.loads(answer.headers['strata-summary'])
+        rows = [line for line in answer.body.splitlines() if not line.startswith(b'#')]
+        self.assertEqual(summary['samples']['after_rejection'], len(rows))
+        self.assertEqual(summary['input'], 'body')
+        self.assertEqual(summary['lattice']['resolution'], 9)
+
+    def test_chunked_and_expecting_bodies_are_taken(self):
+        expected = self.server.curl('/v1/samples?resolution=8&format=ply', body=CUBE).body
+        for header in ('Transfer-Encoding: chunked', 'Expect: 100-continue'):
+            answer = self.server.curl('/v1/samples?resolution=8&format=ply', '-H', header,
+                                      body=CUBE)
+            self.assertTrue(answer.body == expected, header)
+        old = self.server.curl('/v1/samples?resolution=8&format=ply', '--http1.0', body=CUBE)
+        self.assertTrue(old.body == expected)
+
+
+class Problems(ServerCase):
+
+    def test_a_bad_mesh_is_the_client_s_error_with_the_place(self):
+        for body, status, kind, detail in [
+                (b'ply\nformat ascii 1.0\nelement vertex x\n', 422, 'corrupt-input',
+                 'body: line 3:'),
+                (b'v 0 0 0\nv 0 0 1\nv 0 0 2\nf 1 2 3\n', 422, 'empty-surface', 'body: '),
+                (b'\x00\x01\x02 neither', 415, 'unsupported-format', 'expected PLY, OBJ'),
+                (b'', 400, 'malformed-request', 'empty')]:
+            self.assertProblem(self.server.curl('/v1/samples', body=body), status, kind, detail)
+
+    def test_strict_refuses_what_would_be_skipped(self):
+        mesh = CUBE + b'f 1 1 2\n'
+        self.assertEqual(self.server.curl('/v1/samples?resolution=3', body=mesh).status, 200)
+        self.assertProblem(self.server.curl('/v1/samples?resolution=3&strict=true', body=mesh),
+                           422, 'corrupt-input', 'body')
+
+    def test_an_option_out_of_range_names_its_range_and_default(self):
+        for query, words in [
+                ('resolution=0', "resolution: found '0', expected a whole number from 1 to"),
+                ('resolution=99999999999', "resolution: found '99999999999', expected"),
+                ('resolution=1e3', "resolution: found '1e3', expected"),
+                ('resolution=', "resolution: found '', expected"),
+                ('lambda=-1', "lambda: found '-1', expected a number from 0 to 500 (default 5)"),
+                ('lambda=nan', "lambda: found 'nan'"),
+                ('lambda=1e999', "lambda: found '1e999'"),
+                ('min_distance=5', "min_distance: found '5', expected"),
+                ('min-distance=x', "min_distance: found 'x', expected"),
+                ('seed=18446744073709551616', "seed: found '18446744073709551616'"),
+                ('integrator=magic', "integrator: found 'magic', expected exact or subdivide"),
+                ('format=stl', "format: found 'stl', expected drc, ply, xyz or npz"),
+                ('attributes=colour', "attributes: found 'colour', expected normal, triangle"),
+                ('memory=1', 'memory: found'),
+                ('strict=perhaps', 'strict'),
+                ('resolution=4&height=3', 'height'),
+                ('resolution=4&resolution=5', 'resolution: given twice'),
+                ('resolutoin=4', "unknown option 'resolutoin'; did you mean 'resolution'?"),
+                ('output=/etc/passwd', "unknown option 'output'"),
+                ('scratch=/tmp', "unknown option 'scratch'")]:
+            answer = self.server.curl(f'/v1/samples?{query}', body=CUBE)
+            self.assertProblem(answer, 400, 'invalid-argument', words)
+
+    def test_a_result_that_needs_tiles_is_refused_with_a_way_out(self):
+        answer = self.server.curl('/v1/samples?resolution=20&tile_samples=100', body=CUBE)
+        self.assertIn(answer.status, (400, 413), answer.body)
+        self.assertIn('tile', answer.json()['detail'])
+
+    def test_what_no_endpoint_takes_is_said_with_what_it_does(self):
+        self.assertProblem(self.server.curl('/nowhere'), 404, 'no-such-endpoint', '/nowhere')
+        wrong = self.server.curl('/v1/samples', '-X', 'PATCH')
+        self.assertProblem(wrong, 405, 'method-not-allowed', 'PATCH /v1/samples')
+        self.assertIn('POST', wrong.headers['allow'])
+        self.assertProblem(self.server.curl('/livez', '-X', 'DELETE'), 405, 'method-not-allowed')
+
+    def test_a_wrapped_mesh_is_refused_by_name(self):
+        for kind in ('multipart/form-data; boundary=x', 'application/json'):
+            answer = self.server.curl('/v1/samples', '-H', f'Content-Type: {kind}', body=CUBE)
+            self.assertProblem(answer, 415, 'unsupported-media-type', kind)
+
+
+class Operations(ServerCase):
+
+    def test_a_request_id_comes_back_and_stands_in_the_log(self):
+        trace = '00-' + 'ab' * 16 + '-' + 'cd' * 8 + '-01'
+        answer = self.server.curl('/livez', '-H', 'X-Request-Id: mine-1',
+                                  '-H', f'traceparent: {trace}')
+        self.assertEqual(answer.headers['x-request-id'], 'mine-1')
+        line = self.server.request_line('mine-1')
+        self.assertEqual((line['method'], line['path'], line['status']), ('GET', '/livez', 200))
+        self.assertEqual(line['traceparent'], trace)
+        odd = self.server.curl('/livez', '-H', 'X-Request-Id: a b"c',
+                               '-H', 'traceparent: 00-x')
+        made = odd.headers['x-request-id']
+        self.assertRegex(made, '^[0-9a-f]{16}$')
+        self.assertNotIn('traceparent', self.server.request_line(made))
+
+    def test_metrics_count_what_was_asked(self):
+        def counted():
+            return self.server.metric('strata_requests_total{endpoint="/v1/samples",'
+                                      'protocol="http",status="200"}')
+        before = counted()
+        jobs = self.server.metric('strata_jobs_total{outcome="succeeded"}')
+        self.server.curl('/v1/samples?resolution=4', body=CUBE)
+        harness.wait_until(lambda: counted() == before + 1, 'the request to be counted')
+        self.assertEqual(self.server.metric('strata_jobs_total{outcome="succeeded"}'), jobs + 1)
+        text = self.server.curl('/metrics')
+        self.assertTrue(text.headers['content-type'].startswith('text/plain; version=0.0.4'))
+        for line in text.body.decode().splitlines():
+            self.assertRegex(line, r'^(# (HELP|TYPE) \w+ .+|\w+(\{[^}]*\})? -?[0-9.e+Inf-]+)$')
+
+    def test_the_openapi_names_every_endpoint_and_option(self):
+        api = self.server.curl('/openapi.json').json()
+        self.assertEqual(api['openapi'], '3.1.0')
+        self.assertEqual(set(api['paths']), set(harness.routes()))
+        options = {p['name'] for p in api['paths']['/v1/samples']['post']['parameters']
+                   if p.get('in') == 'query'}
+        self.assertEqual(options, harness.sample_option_names())
+
+    def test_head_answers_without_a_body(self):
+        answer = self.server.exchange(b'HEAD /livez HTTP/1.1\r\nHost: x\r\n'
+                                      b'Connection: close\r\n\r\n')
+        self.assertTrue(answer.startswith(b'HTTP/1.1 200'))
+        self.assertTrue(answer.endswith(b'\r\n\r\n'))
+        self.assertIn(b'Content-Length: 3', answer)
+
+    def test_several_requests_share_a_connection(self):
+        raw = self.server.exchange(b'GET /livez HTTP/1.1\r\nHost: x\r\n\r\n'
+                                   b'GET /readyz HTTP/1.1\r\nHost: x\r\n\r\n'
+                                   b'GET /livez HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n')
+        self.assertEqual(len(re.findall(b'HTTP/1.1 200 OK', raw)), 3)
+
+
+if __name__ == '__main__':
+    harness.main()
