@@ -58,7 +58,6 @@ enum class Refusal : std::uint8_t {
   kMethod,           ///< The endpoint does not take this method.
   kNotAcceptable,    ///< No format of the result fits the `Accept` header.
   kTooSlow,          ///< The client sent less than the upload's minimum rate, or paused too long.
-  kConflict,         ///< What is there already stands against it.
   kPrecondition,     ///< A condition of the request does not hold.
   kBodyTooLarge,     ///< More bytes than one request may carry.
   kMediaType,        ///< The body is of a type that the endpoint does not take.
@@ -68,7 +67,7 @@ enum class Refusal : std::uint8_t {
   kNotImplemented,   ///< A part of the protocol that this server does not speak.
   kUnavailable,      ///< Not now: shutting down, or no room.
 };
-inline constexpr int kRefusalCount = 16;
+inline constexpr int kRefusalCount = 15;
 
 /// How one Refusal looks over HTTP and over gRPC; the fields are those of ExitCode.
 struct RefusalRow {
@@ -87,7 +86,6 @@ inline constexpr std::array<RefusalRow, kRefusalCount> kRefusals = {{
     {Refusal::kMethod, 405, 12, "method-not-allowed", "the endpoint does not take this method"},
     {Refusal::kNotAcceptable, 406, 3, "not-acceptable", "no format fits the Accept header"},
     {Refusal::kTooSlow, 408, 4, "too-slow", "the request arrived too slowly"},
-    {Refusal::kConflict, 409, 10, "conflict", "the present state stands against the request"},
     {Refusal::kPrecondition, 412, 9, "precondition-failed", "a condition of the request fails"},
     {Refusal::kBodyTooLarge, 413, 8, "body-too-large", "the body is larger than allowed"},
     {Refusal::kMediaType, 415, 3, "unsupported-media-type", "the body's media type is not taken"},

@@ -18,6 +18,7 @@
 #include "server/resources.h"
 #include "server/rpc/rpc_server.h"
 #include "server/serve_config.h"
+#include "server/service/stored_service.h"
 
 namespace strata::server {
 namespace {
@@ -102,6 +103,7 @@ std::string Where(const std::optional<Listen>& listen, std::uint64_t port) {
 struct Running {
   Metrics metrics;
   std::unique_ptr<Service> service;
+  std::unique_ptr<StoredService> stored;
   std::unique_ptr<HttpServer> http;
   std::unique_ptr<RpcServer> rpc;
 };
@@ -144,6 +146,12 @@ Result<void> RunServe(std::span<const std::string> arguments) {
   auto service = MakeService(command, running.metrics);
   if (!service) return Forward(service);
   running.service = *std::move(service);
+  if (command.store) {
+    auto stored = StoredService::Start(*command.store, *running.service);
+    if (!stored) return Forward(stored);
+    running.stored = *std::move(stored);
+    running.service->SetStored(running.stored.get());
+  }
   auto http = StartHttp(command, *running.service);
   if (!http) return Forward(http);
   running.http = *std::move(http);
@@ -155,6 +163,7 @@ Result<void> RunServe(std::span<const std::string> arguments) {
        {"http", Where(command.http, running.http ? running.http->port() : 0)},
        {"grpc", Where(command.grpc, running.rpc ? running.rpc->port() : 0)},
        {"tls", command.tls.on() ? "on" : "off"},
+       {"data", command.store ? command.store->data : "none"},
        {"keys", command.keys.empty() ? "none" : "file"},
        {"jobs", std::uint64_t{command.limits.jobs.jobs}},
        {"job_memory", command.limits.job_memory_bytes}});

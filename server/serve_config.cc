@@ -154,6 +154,20 @@ ServiceLimits ServiceLimitsOf(Reader& read) {
   return limits;
 }
 
+std::optional<StoreOptions> StoreOptionsOf(Reader& read, const ServiceLimits& limits) {
+  StoreOptions options;
+  options.data = read.Text("data");
+  options.models = read.Text("models");
+  options.blobs.model_bytes = read.Size("model-disk", 1);
+  options.blobs.result_bytes = read.Size("result-disk", 1);
+  options.uploads.max_bytes = limits.body_bytes;
+  options.jobs.max_queued = read.Number("stored-jobs", 1, 1'000'000);
+  options.job_retention = std::chrono::hours(read.Number("keep-jobs", 1, 100'000));
+  if (!options.data.empty()) return options;
+  if (!options.models.empty()) read.Refuse("--models needs --data, where its hashes are kept");
+  return std::nullopt;
+}
+
 bool IsLoopback(const Listen& listen) {
   return listen.address == "::1" || listen.address.starts_with("127.");
 }
@@ -232,6 +246,7 @@ Result<ServeCommand> CheckServe(const ServeTexts& texts) {
   command.keys = read.Text("keys");
   command.http_limits = HttpLimitsOf(read);
   command.limits = ServiceLimitsOf(read);
+  command.store = StoreOptionsOf(read, command.limits);
   if (read.Has("scratch")) command.scratch = read.Text("scratch");
   command.log_format = static_cast<LogFormat>(read.OneOf("log-format", {"text", "json"}));
   command.log_level =

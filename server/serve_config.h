@@ -14,6 +14,7 @@
 #include "server/serve_option_table.h"
 #include "server/service/log.h"
 #include "server/service/service.h"
+#include "server/store/store.h"
 
 namespace strata::server {
 
@@ -31,6 +32,7 @@ struct ServeCommand {
   HttpLimits http_limits;
   ServiceLimits limits;
   std::optional<std::string> scratch;
+  std::optional<StoreOptions> store;  ///< Absent: nothing is kept.
   LogFormat log_format = LogFormat::kText;
   LogLevel log_level = LogLevel::kInfo;
   std::uint32_t drain_seconds = 30;

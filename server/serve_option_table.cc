@@ -10,9 +10,10 @@ constexpr const char* kWho = "Who may ask";
 constexpr const char* kRequest = "One request";
 constexpr const char* kAll = "All requests together";
 constexpr const char* kJob = "Jobs";
+constexpr const char* kStore = "What it keeps";
 constexpr const char* kRun = "How it runs";
 
-constexpr std::array<ServeOption, 28> kOptions = {{
+constexpr std::array<ServeOption, 34> kOptions = {{
     {"http", "ADDR:PORT", kWhere, "HTTP; port 0 takes any free one; off = no HTTP.",
      "127.0.0.1:8080"},
     {"grpc", "ADDR:PORT", kWhere, "gRPC; likewise.", "127.0.0.1:8081"},
@@ -55,6 +56,16 @@ constexpr std::array<ServeOption, 28> kOptions = {{
     {"result-size", "SIZE", kJob, "Largest result.", "4G"},
     {"isolate", "on|off", kJob, "Each job in a process of its own, so that a crash ends one job.",
      "on"},
+    {"data", "DIR", kStore,
+     "Models, jobs and results, made if it is missing. Without it the\n"
+     "service keeps nothing.",
+     ""},
+    {"models", "DIR", kStore, "Meshes to offer, read only, by their names in it. Needs data.", ""},
+    {"model-disk", "SIZE", kStore, "Of uploaded models, unfinished ones included.", "64G"},
+    {"result-disk", "SIZE", kStore,
+     "Of results; the least recently used of those no job has go first.", "16G"},
+    {"stored-jobs", "N", kStore, "Queued in data at a time. 1 to 1000000.", "1000"},
+    {"keep-jobs", "HOURS", kStore, "Jobs that ended, and their results. 1 to 100000.", "168"},
     {"scratch", "DIR", kRun, "Meshes and results while their requests last.", "",
      "the system's directory for temporary files"},
     {"log-format", "NAME", kRun, "text or json, to standard error.", "text"},

@@ -8,10 +8,10 @@
 #include <utility>
 #include <vector>
 
-#include "core/scratch.h"
 #include "server/http/request_target.h"
 #include "server/service/api_keys.h"
 #include "server/service/problem.h"
+#include "server/service/service.h"
 
 namespace strata::server {
 
@@ -46,11 +46,18 @@ class Exchange {
                                 const std::function<Answer<void>(std::string_view)>& sink) = 0;
   /// Whether the client has closed the connection.
   virtual bool ClientGone() const = 0;
+  /// Who asks, once the key was checked.
+  virtual const Caller& caller() const = 0;
+  virtual void SetCaller(Caller caller) = 0;
 
   virtual void Respond(int status, const Headers& headers, std::string_view body) = 0;
-  /// Answers with `size` bytes of `file` from `offset`.
-  virtual void RespondFile(int status, const Headers& headers, const ScratchFile& file,
-                           std::uint64_t offset, std::uint64_t size) = 0;
+  /// Answers with `size` bytes of `content` from `offset`.
+  virtual void RespondContent(int status, const Headers& headers, const Content& content,
+                              std::uint64_t offset, std::uint64_t size) = 0;
+  /// Begins an answer whose length is not known; Stream adds to it and says whether the client
+  /// still takes it. The connection's end is the answer's.
+  virtual void BeginStream(int status, const Headers& headers) = 0;
+  virtual bool Stream(std::string_view bytes) = 0;
   virtual void RespondProblem(const Problem& problem, const Headers& headers = {}) = 0;
 };
 

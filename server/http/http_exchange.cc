@@ -123,7 +123,8 @@ Answer<void> HttpExchange::ReadBody(std::uint64_t limit,
 
 // --- The answer ----------------------------------------------------------------------------------
 
-bool HttpExchange::SendHeader(int status, const Headers& headers, std::uint64_t size) {
+bool HttpExchange::SendHeader(int status, const Headers& headers,
+                              std::optional<std::uint64_t> size) {
   status_ = status;
   if (!parser_.is_done() || shared_.service.ready() == false) reusable_ = false;
   http::response<http::empty_body> response;
@@ -133,7 +134,7 @@ bool HttpExchange::SendHeader(int status, const Headers& headers, std::uint64_t 
   response.set("X-Request-Id", request_id_);
   response.set("X-Content-Type-Options", "nosniff");
   for (const auto& [name, value] : headers) response.insert(name, value);
-  if (status != 204 && status != 304) response.content_length(size);
+  if (size && status != 204 && status != 304) response.content_length(*size);
   response.keep_alive(reusable_);
   started_sending_ = SteadyClock::now();
   transport_.SetDeadline(RateDeadline(shared_.limits, started_sending_, 0));
@@ -165,19 +166,29 @@ void HttpExchange::Respond(int status, const Headers& headers, std::string_view 
   if (SendHeader(status, headers, body.size()) && method() != "HEAD") Send(body);
 }
 
-void HttpExchange::RespondFile(int status, const Headers& headers, const ScratchFile& file,
-                               std::uint64_t offset, std::uint64_t size) {
+void HttpExchange::RespondContent(int status, const Headers& headers, const Content& content,
+                                  std::uint64_t offset, std::uint64_t size) {
   if (!SendHeader(status, headers, size) || method() == "HEAD") return;
   std::vector<char> piece(std::min<std::uint64_t>(size, 4 * kPiece));
   for (std::uint64_t sent = 0; sent < size;) {
     const std::size_t now = std::min<std::uint64_t>(piece.size(), size - sent);
     // After the header no other answer is possible: a broken connection says that it failed.
-    if (!file.ReadAt(offset + sent, {piece.data(), now}) || !Send({piece.data(), now})) {
+    if (!content.read(offset + sent, {piece.data(), now}) || !Send({piece.data(), now})) {
       reusable_ = false;
       return;
     }
     sent += now;
   }
+}
+
+void HttpExchange::BeginStream(int status, const Headers& headers) {
+  reusable_ = false;  // HTTP/1.1 without a length: the connection's end is the body's.
+  SendHeader(status, headers, std::nullopt);
+}
+
+bool HttpExchange::Stream(std::string_view bytes) {
+  started_sending_ = SteadyClock::now();  // Each piece anew: what is not there yet is not slow.
+  return Send(bytes);
 }
 
 void HttpExchange::RespondProblem(const Problem& problem, const Headers& headers) {

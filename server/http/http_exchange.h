@@ -6,6 +6,7 @@
 #include <boost/beast/http/buffer_body.hpp>
 #include <boost/beast/http/message.hpp>
 #include <boost/beast/http/parser.hpp>
+#include <optional>
 #include <string>
 
 #include "server/http/connection.h"
@@ -61,8 +62,12 @@ class HttpExchange final : public Exchange {
                         const std::function<Answer<void>(std::string_view)>& sink) override;
   bool ClientGone() const override { return PeerIsGone(transport_.descriptor()); }
   void Respond(int status, const Headers& headers, std::string_view body) override;
-  void RespondFile(int status, const Headers& headers, const ScratchFile& file,
-                   std::uint64_t offset, std::uint64_t size) override;
+  void RespondContent(int status, const Headers& headers, const Content& content,
+                      std::uint64_t offset, std::uint64_t size) override;
+  void BeginStream(int status, const Headers& headers) override;
+  bool Stream(std::string_view bytes) override;
+  const Caller& caller() const override { return caller_; }
+  void SetCaller(Caller caller) override { caller_ = std::move(caller); }
   void RespondProblem(const Problem& problem, const Headers& headers = {}) override;
 
   void SetTarget(RequestTarget target) { target_ = std::move(target); }
@@ -78,7 +83,7 @@ class HttpExchange final : public Exchange {
  private:
   Answer<void> CheckExpectation();
   Answer<std::size_t> ReadPiece(char* into, std::size_t size);
-  bool SendHeader(int status, const Headers& headers, std::uint64_t size);
+  bool SendHeader(int status, const Headers& headers, std::optional<std::uint64_t> size);
   bool Send(std::string_view bytes);
 
   const HttpShared& shared_;
@@ -86,6 +91,7 @@ class HttpExchange final : public Exchange {
   boost::beast::flat_buffer& buffer_;
   RequestParser& parser_;
   RequestTarget target_;
+  Caller caller_;
   std::string request_id_;
   bool reusable_;
   int status_ = 0;

@@ -86,6 +86,7 @@ Routed Dispatch(Service& service, Exchange& exchange) {
       return routed;
     }
     routed.caller = caller->name;
+    exchange.SetCaller(*caller);
   }
   std::optional<RequestSlot> slot;
   if (route.counted) {

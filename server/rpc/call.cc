@@ -21,6 +21,7 @@ Answer<void> RunAdmitted(const CallFrame& frame, std::string& caller_name, CallB
       frame.service.keys().Check(MetadataOf(frame.context, "authorization"), frame.needed);
   if (!caller) return Pass(caller);
   caller_name = caller->name;
+  if (frame.client) *frame.client = caller->name;
   const auto slot = frame.service.Enter();
   if (!slot) return Pass(slot);
   try {

@@ -25,6 +25,7 @@ struct CallFrame {
   grpc::ServerContext& context;
   const char* endpoint;
   Role needed;
+  std::string* client = nullptr;  ///< Takes the name of the caller's key, if it is given.
 };
 
 /// Checks the key (metadata "authorization"), takes a place, runs `work`, counts and logs. The

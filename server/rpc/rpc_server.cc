@@ -9,6 +9,7 @@
 
 #include "server/rpc/call_watch.h"
 #include "server/rpc/sampling_rpc.h"
+#include "server/rpc/stored_rpc.h"
 
 namespace strata::server {
 namespace {
@@ -50,10 +51,14 @@ std::string Bracketed(const std::string& address) {
 struct RpcServer::State {
   State(const Options& options, Service& service)
       : watch({options.bytes_per_second, std::chrono::seconds(options.grace_seconds)}),
-        sampling(service, watch) {}
+        sampling(service, watch),
+        models(service, watch),
+        jobs(service, watch) {}
 
   CallWatch watch;
   SamplingRpc sampling;
+  ModelsRpc models;
+  JobsRpc jobs;
   int port = 0;
   std::unique_ptr<grpc::Server> server;
 };
@@ -70,12 +75,16 @@ Result<std::unique_ptr<RpcServer>> RpcServer::Start(const Options& options, Serv
   const std::string where = Bracketed(options.address) + ':' + std::to_string(options.port);
   builder.AddListeningPort(where, CredentialsOf(options), &state->port);
   builder.RegisterService(&state->sampling);
+  builder.RegisterService(&state->models);
+  builder.RegisterService(&state->jobs);
   state->server = builder.BuildAndStart();
   if (!state->server || state->port == 0) {
     return Fail(ErrorCode::kIo, "cannot listen for gRPC on " + where +
                                     ": the port is in use, or the certificate and key do not fit");
   }
-  state->server->GetHealthCheckService()->SetServingStatus("strata.v1.Sampling", true);
+  for (const char* const name : {"strata.v1.Sampling", "strata.v1.Models", "strata.v1.Jobs"}) {
+    state->server->GetHealthCheckService()->SetServingStatus(name, true);
+  }
   return std::unique_ptr<RpcServer>(new RpcServer(std::move(state)));
 }
 

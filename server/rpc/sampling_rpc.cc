@@ -4,21 +4,13 @@
 #include <string>
 #include <vector>
 
-#include "server/rpc/call.h"
+#include "server/rpc/transfer.h"
+#include "server/service/stored_service.h"
 
 namespace strata::server {
 namespace {
 
 using Stream = grpc::ServerReaderWriter<v1::SampleResponse, v1::SampleRequest>;
-constexpr std::size_t kMostChunk = std::size_t{1} << 20;
-
-tl::unexpected<Problem> RefuseTransfer(const CallWatch& watch,
-                                       const CallWatch::Transfer& transfer) {
-  if (!transfer.too_slow()) return Refuse(Error{ErrorCode::kCancelled, "the client went away"});
-  return Refuse(Refusal::kTooSlow, "slower than " + std::to_string(watch.rate().bytes_per_second) +
-                                       " bytes a second after " + std::to_string(transfer.bytes()) +
-                                       " bytes");
-}
 
 /// The steps of one Sample call.
 class SampleCall {
@@ -33,12 +25,21 @@ class SampleCall {
     JobWatch watch;
     watch.gone = [this] { return context_.IsCancelled(); };
     watch.progress = [this](const v1::Progress& progress) { Report(progress); };
-    const auto sampled = service_.Sample(header_.options(), upload->file(), "body", watch);
+    const auto sampled = Sample(*upload, watch);
     if (!sampled) return Pass(sampled);
     return Send(*sampled, bytes);
   }
 
  private:
+  Answer<Sampled> Sample(const Upload& upload, const JobWatch& watch) {
+    if (!header_.has_model()) {
+      return service_.Sample(header_.options(), upload.file().descriptor(), "body", watch);
+    }
+    const auto stored = service_.stored();
+    if (!stored) return Pass(stored);
+    return (*stored)->SampleModel(header_.options(), header_.model(), watch);
+  }
+
   Answer<void> Receive(Upload& upload, CallBytes& bytes) {
     CallWatch::Transfer transfer(watch_, context_);
     v1::SampleRequest request;
@@ -50,16 +51,14 @@ class SampleCall {
       return Refuse(Refusal::kMalformed, "found a chunk, expected a header first");
     }
     header_ = std::move(*request.mutable_header());
-    if (header_.has_model()) {
-      return Refuse(Refusal::kNotImplemented, "this server stores no models");
-    }
     while (stream_.Read(&request)) {
       if (auto taken = Take(request, upload); !taken) return taken;
       transfer.Add(request.chunk().size());
       bytes.in += request.chunk().size();
     }
     if (context_.IsCancelled()) return RefuseTransfer(watch_, transfer);
-    if (upload.file().size() == 0) {
+    if (header_.has_model() != (upload.file().size() == 0)) {
+      if (header_.has_model()) return Refuse(Refusal::kMalformed, "found a model and chunks");
       return Refuse(Refusal::kMalformed, "no chunk came, expected the bytes of a mesh file");
     }
     return {};
@@ -69,11 +68,7 @@ class SampleCall {
     if (!request.has_chunk()) {
       return Refuse(Refusal::kMalformed, "found a second header, expected a chunk");
     }
-    if (request.chunk().empty() || request.chunk().size() > kMostChunk) {
-      return Refuse(Refusal::kMalformed, "found a chunk of " +
-                                             std::to_string(request.chunk().size()) +
-                                             " bytes, expected 1 to 1048576");
-    }
+    if (auto good = CheckChunk(request.chunk()); !good) return good;
     return upload.Append(request.chunk());
   }
 
@@ -84,20 +79,16 @@ class SampleCall {
   }
 
   Answer<void> Send(const Sampled& sampled, CallBytes& bytes) {
-    CallWatch::Transfer transfer(watch_, context_);
-    const std::uint64_t size = sampled.summary.size_bytes();
     v1::SampleResponse response;
-    for (std::uint64_t sent = 0; sent < size;) {
-      std::string& chunk = *response.mutable_chunk();
-      chunk.resize(std::min<std::uint64_t>(kMostChunk, size - sent));
-      if (const auto read = sampled.file->ReadAt(sent, chunk); !read) return Refuse(read.error());
-      if (!stream_.Write(response)) return RefuseTransfer(watch_, transfer);
-      sent += chunk.size();
-      transfer.Add(chunk.size());
-      bytes.out += chunk.size();
-    }
+    auto sent = SendContent(watch_, context_, sampled.content, 0, bytes, [&](std::string& chunk) {
+      response.mutable_chunk()->swap(chunk);
+      const bool taken = stream_.Write(response);
+      response.mutable_chunk()->swap(chunk);
+      return taken;
+    });
+    if (!sent) return sent;
     *response.mutable_summary() = sampled.summary;
-    if (!stream_.Write(response)) return RefuseTransfer(watch_, transfer);
+    if (!stream_.Write(response)) return Refuse(Cancelled().value());
     return {};
   }
 

@@ -86,9 +86,9 @@ Result<v1::SampleSummary> RunJobInProcess(const internal::WorkerJob& job, int me
 }
 
 v1::Progress ProgressOf(const RunContext& context) {
-  constexpr std::array<v1::Progress::Stage, 5> kStages = {
-      v1::Progress::STAGE_OPEN, v1::Progress::STAGE_SCAN, v1::Progress::STAGE_REJECT,
-      v1::Progress::STAGE_WRITE, v1::Progress::STAGE_WRITE};
+  constexpr std::array<v1::Progress::Stage, 5> kStages = {v1::Progress::open, v1::Progress::scan,
+                                                          v1::Progress::reject, v1::Progress::write,
+                                                          v1::Progress::write};
   v1::Progress progress;
   progress.set_stage(kStages[static_cast<std::size_t>(context.stage())]);
   progress.set_done(context.done());

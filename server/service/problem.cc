@@ -7,7 +7,7 @@ namespace strata::server {
 
 Problem ProblemOf(const Error& error) {
   const ExitCode& row = ExitCodeOf(error.code);
-  return {row.http_status, row.grpc_status, row.type, row.meaning, error.message, 0};
+  return {row.http_status, row.grpc_status, row.type, row.meaning, error.message, 0, error.code};
 }
 
 Problem ProblemOf(Refusal refusal, std::string detail, int retry_after_s) {

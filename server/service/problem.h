@@ -18,6 +18,8 @@ struct Problem {
   const char* title = "";         ///< Likewise.
   std::string detail;             ///< For a person: what was found, what was expected.
   int retry_after_s = 0;          ///< 0: none.
+  /// The code of the Error it came from; of a refusal kInvalidArgument.
+  ErrorCode code = ErrorCode::kInvalidArgument;
 };
 
 /// Either a T or why the client does not get one.

@@ -73,15 +73,21 @@ Answer<Upload> Service::BeginUpload() {
   return Upload(*std::move(file), limits_.body_bytes);
 }
 
-Answer<Sampled> Service::Sample(const v1::SampleOptions& options, const ScratchFile& mesh,
-                                const std::string& name, const JobWatch& watch) {
+Answer<StoredService*> Service::stored() const {
+  if (stored_) return stored_;
+  return Refuse(Refusal::kNotImplemented,
+                "this service keeps no models and no jobs: it was started without --data");
+}
+
+Answer<Sampled> Service::Sample(const v1::SampleOptions& options, int mesh, const std::string& name,
+                                const JobWatch& watch) {
   if (const auto checked = CommandOf(options, "-", "-"); !checked) return Refuse(checked.error());
   const internal::WorkerJob job = JobOf(options, name, limits_, scratch_->path());
   JobWatch either = watch;
   either.gone = [this, &watch] { return cancelled_ || (watch.gone && watch.gone()); };
   if (watch.progress) {
     v1::Progress queued;
-    queued.set_stage(v1::Progress::STAGE_QUEUE);
+    queued.set_stage(v1::Progress::queue);
     watch.progress(queued);
   }
   const auto ticket = admission_.Enter(job.memory_bytes(), either.gone);
@@ -89,18 +95,25 @@ Answer<Sampled> Service::Sample(const v1::SampleOptions& options, const ScratchF
   return Run(job, mesh, either);
 }
 
-Answer<Sampled> Service::Run(const internal::WorkerJob& job, const ScratchFile& mesh,
-                             const JobWatch& watch) {
-  auto result = scratch_->NewFile();
-  if (!result) return Refuse(result.error());
-  const int input = mesh.descriptor(), output = (*result)->descriptor();
+Answer<Sampled> Service::Run(const internal::WorkerJob& job, int mesh, const JobWatch& watch) {
+  auto made = scratch_->NewFile();
+  if (!made) return Refuse(made.error());
+  const std::shared_ptr<const ScratchFile> result = *std::move(made);
+  const int output = result->descriptor();
   const auto start = std::chrono::steady_clock::now();
-  auto outcome = limits_.isolate ? RunJobIsolated(job, input, output, watch)
-                                 : RunJobInProcess(job, input, output, watch);
+  auto outcome = limits_.isolate ? RunJobIsolated(job, mesh, output, watch)
+                                 : RunJobInProcess(job, mesh, output, watch);
   const std::chrono::duration<double> spent = std::chrono::steady_clock::now() - start;
   metrics_.CountJob(OutcomeOf(outcome), spent.count(), outcome ? outcome->samples() : 0);
   if (!outcome) return Refuse(outcome.error());
-  return Sampled{*std::move(result), *std::move(outcome)};
+  Sampled sampled;
+  sampled.content.read = [result](std::uint64_t offset, std::span<char> out) {
+    return result->ReadAt(offset, out);
+  };
+  sampled.content.size = outcome->size_bytes();
+  sampled.content.media_type = outcome->media_type();
+  sampled.summary = *std::move(outcome);
+  return sampled;
 }
 
 }  // namespace strata::server

@@ -3,8 +3,11 @@
 
 #include <atomic>
 #include <cstdint>
+#include <functional>
 #include <memory>
+#include <span>
 #include <string>
+#include <utility>
 
 #include "core/scratch.h"
 #include "server/service/admission.h"
@@ -57,11 +60,22 @@ class Upload {
   std::uint64_t limit_;
 };
 
+/// Bytes to be sent: open, whole, and there as long as this is. Copies read the same.
+struct Content {
+  /// Fills `out` from byte `offset`. Errors: kIo.
+  std::function<Result<void>(std::uint64_t offset, std::span<char> out)> read;
+  std::uint64_t size = 0;
+  std::string media_type;
+  std::string etag;  ///< Strong, with its quotes; empty: none.
+};
+
 /// A result, whole.
 struct Sampled {
-  std::shared_ptr<const ScratchFile> file;
+  Content content;
   v1::SampleSummary summary;
 };
+
+class StoredService;
 
 /// Threads: any.
 class Service {
@@ -78,28 +92,34 @@ class Service {
   Answer<RequestSlot> Enter();
 
   Answer<Upload> BeginUpload();
-  /// Samples `mesh`, whose name in messages is `name`; waits for its turn first. The options have
-  /// not been checked. Refuses: what CommandOf, Admission and the job refuse.
-  Answer<Sampled> Sample(const v1::SampleOptions& options, const ScratchFile& mesh,
-                         const std::string& name, const JobWatch& watch);
+  /// Samples the open file `mesh`, whose name in messages is `name`; waits for its turn first. The
+  /// options have not been checked. Refuses: what CommandOf, Admission and the job refuse.
+  Answer<Sampled> Sample(const v1::SampleOptions& options, int mesh, const std::string& name,
+                         const JobWatch& watch);
+
+  /// Models and jobs. Refuses: kNotImplemented where the service has no data folder.
+  Answer<StoredService*> stored() const;
+  /// Null: none. Set before the service is shared.
+  void SetStored(StoredService* stored) { stored_ = stored; }
 
   /// Whether new requests are taken.
   bool ready() const { return !draining_; }
   std::uint32_t requests_in_flight() const { return in_flight_; }
   /// From now on Enter refuses.
   void Drain() { draining_ = true; }
+  bool cancelled() const { return cancelled_; }
   /// Ends every job that runs or waits, as if its client had gone.
   void CancelJobs() { cancelled_ = true; }
 
  private:
-  Answer<Sampled> Run(const internal::WorkerJob& job, const ScratchFile& mesh,
-                      const JobWatch& watch);
+  Answer<Sampled> Run(const internal::WorkerJob& job, int mesh, const JobWatch& watch);
 
   const ServiceLimits limits_;
   const ApiKeys keys_;
   const std::unique_ptr<ScratchFolder> scratch_;
   Metrics& metrics_;
   Admission admission_;
+  StoredService* stored_ = nullptr;
   std::atomic<std::uint32_t> in_flight_{0};
   std::atomic<bool> draining_{false}, cancelled_{false};
 };

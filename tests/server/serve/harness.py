@@ -192,6 +192,7 @@ f 2 6 8 4
 
 
 # A job of many seconds with a small body: 54 million cells.
+LONG_MODEL = {'resolution': 3000, 'format': 'xyz'}  # The same of a stored cube.
 LONG = '/v1/samples?resolution=3000&format=xyz'
 
 

@@ -149,7 +149,7 @@ class Refusals(RpcCase):
     def test_a_cancelled_call_ends_its_job(self):
         call = self.client.Sample(self.requests(CUBE, resolution=3000, format='xyz'))
         for response in call:
-            if response.progress.stage > self.options_.Progress.STAGE_QUEUE:
+            if response.progress.stage > self.options_.Progress.queue:
                 break
         harness.wait_until(self.server.children, 'a child to run')
         call.cancel()
