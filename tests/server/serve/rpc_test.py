@@ -156,6 +156,76 @@ class Refusals(RpcCase):
         harness.wait_until(lambda: not self.server.children(), 'the child to end')
 
 
+class Stored(RpcCase):
+    """Models and jobs, as HTTP's tests have them: here that gRPC says the same."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.folder = tempfile.TemporaryDirectory()
+        cls.options = ('--data', f'{cls.folder.name}/data')
+        super().setUpClass()
+        from strata.v1 import jobs_pb2, jobs_pb2_grpc, models_pb2, models_pb2_grpc
+        cls.m, cls.j = models_pb2, jobs_pb2
+        cls.models = models_pb2_grpc.ModelsStub(cls.channel)
+        cls.jobs = jobs_pb2_grpc.JobsStub(cls.channel)
+        cls.put('cube.obj', CUBE)
+
+    @classmethod
+    def tearDownClass(cls):
+        super().tearDownClass()
+        cls.folder.cleanup()
+
+    @classmethod
+    def put(cls, name, mesh, **header):
+        return cls.models.Put(iter(
+            [cls.m.PutModelRequest(header=cls.m.PutModelHeader(name=name, **header)),
+             cls.m.PutModelRequest(chunk=mesh)]), timeout=harness.PATIENCE)
+
+    def code(self, call, request):
+        with self.assertRaises(grpc.RpcError) as caught:
+            list(answer) if hasattr(answer := call(request), '__iter__') else answer
+        return caught.exception.code()
+
+    def test_models_are_the_same_in_both_protocols(self):
+        put = self.put('a/b.obj', CUBE)
+        http = self.server.curl('/v1/models/a/b.obj').json()
+        self.assertEqual((put.sha256, put.format), (http['sha256'], http['format']))
+        listed = self.models.List(self.m.ListModelsRequest(prefix='a/'))
+        self.assertEqual([model.name for model in listed.models], ['a/b.obj'])
+        chunks = self.models.Download(self.m.DownloadModelRequest(name='a/b.obj'))
+        self.assertEqual(b''.join(chunk.data for chunk in chunks), CUBE)
+        self.models.Delete(self.m.DeleteModelRequest(name='a/b.obj'))
+        self.assertEqual(self.code(self.models.Get, self.m.GetModelRequest(name='a/b.obj')),
+                         grpc.StatusCode.NOT_FOUND)
+        with self.assertRaises(grpc.RpcError) as caught:
+            self.put('cube.obj', CUBE, if_absent=True)
+        self.assertEqual(caught.exception.code(), grpc.StatusCode.ABORTED)
+
+    def test_a_job_ends_with_the_bytes_of_a_direct_call(self):
+        options = self.options_.SampleOptions(resolution=44, format='ply')
+        job = self.jobs.Create(self.j.CreateJobRequest(model='cube.obj', options=options))
+        events = list(self.jobs.Watch(self.j.WatchJobRequest(id=job.id)))
+        self.assertEqual(events[-1].job.state, self.j.Job.succeeded)
+        done = self.jobs.Wait(self.j.WaitJobRequest(id=job.id))
+        self.assertEqual(done.state, self.j.Job.succeeded)
+        chunks = self.jobs.Download(self.j.DownloadResultRequest(id=job.id, offset=3))
+        direct = self.sample(self.requests(CUBE, resolution=44, format='ply'))[0]
+        self.assertEqual(b''.join(chunk.data for chunk in chunks), direct[3:])
+        header = self.sampling.SampleRequest(header=self.sampling.SampleHeader(
+            options=options, model='cube.obj'))
+        body, summary, _ = self.sample(iter([header]))
+        self.assertEqual((body, summary.cached, summary.etag), (direct, True, done.summary.etag))
+
+    def test_what_does_not_exist_is_not_found(self):
+        for call, request in [(self.jobs.Get, self.j.GetJobRequest(id='x')),
+                              (self.jobs.Cancel, self.j.CancelJobRequest(id='x')),
+                              (self.jobs.Wait, self.j.WaitJobRequest(id='x')),
+                              (self.jobs.Watch, self.j.WatchJobRequest(id='x')),
+                              (self.jobs.Download, self.j.DownloadResultRequest(id='x')),
+                              (self.models.Download, self.m.DownloadModelRequest(name='x'))]:
+            self.assertEqual(self.code(call, request), grpc.StatusCode.NOT_FOUND)
+
+
 class Standard(RpcCase):
 
     def test_health_is_served(self):
