@@ -82,6 +82,25 @@ std::vector<std::string> PolygonSeeds() {
           doubles({0, 0, 0, 1e9, 0.1, 0, 1e9, 1e9, 1e-3, 3, 1e8, 0, -1e300, 1, 1})};
 }
 
+std::vector<std::string> HttpSeeds() {
+  return {"GET /livez HTTP/1.1\r\nHost: x\r\n\r\nGET /nowhere?a=%20 HTTP/1.1\r\nHost: x\r\n\r\n",
+          "POST /v1/samples?resolution=5&min-distance=0.5 HTTP/1.1\r\nContent-Length: 4\r\n"
+          "Accept: text/plain;q=0.5, model/*\r\nExpect: 100-continue\r\n\r\nv 0 ",
+          "POST /v1/samples?lambda=x HTTP/1.0\r\nTransfer-Encoding: chunked\r\n\r\n2\r\nab\r\n"
+          "0\r\n\r\n",
+          "GET /v1/jobs/x?wait=1 HTTP/1.1\r\nX-Request-Id: a\r\nRange: bytes=1-2\r\n\r\n"};
+}
+
+// Fields of SampleOptions: resolution; lambda and seed; texts; height and strict.
+std::vector<std::string> WireSeeds() {
+  return {"\x08\x40", std::string("\x21\0\0\0\0\0\0\x04\x40\x30\x07", 11),
+          "\x3a\x05"
+          "exact\x4a\x03"
+          "ply\x52\x04"
+          "none",
+          "\x18\x05\x40\x01\x60\x64"};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -97,5 +116,7 @@ int main(int argc, char** argv) {
   }
   WriteAll(folder / "open_mesh", any);
   WriteAll(folder / "triangulate", PolygonSeeds());
+  WriteAll(folder / "http", HttpSeeds());
+  WriteAll(folder / "wire", WireSeeds());
   return 0;
 }
