@@ -3,5 +3,5 @@
 # preset asan). Takes minutes, so it is no part of .ci/run.
 set -eu
 cd "$(dirname "$0")/.."
-ls core/*.cc io/*.cc server/*.cc server/store/*.cc | xargs -n1 -P"$(nproc)" clang-tidy-14 -p build/asan --quiet
+ls core/*.cc io/*.cc server/*.cc server/*/*.cc | xargs -n1 -P"$(nproc)" clang-tidy-14 -p build/asan --quiet
 echo "The checks hold."
