@@ -5,6 +5,7 @@
 #include "server/http/handlers.h"
 #include "server/http/openapi.h"
 #include "server/http/router.h"
+#include "server/http/viewer_files.h"
 
 namespace strata::server {
 namespace {
@@ -34,9 +35,13 @@ void ShowOpenApi(Service&, Exchange& exchange, const std::string&) {
   exchange.Respond(200, {{"Content-Type", "application/json"}}, OpenApiText());
 }
 
+void ShowViewer(Service&, Exchange& exchange, const std::string&) { RespondViewerFile(exchange); }
+
 using Access = Route::Access;
 
-constexpr std::array<Route, 22> kRoutes = {{
+constexpr std::array<Route, 24> kRoutes = {{
+    {"GET", "/", Access::kOpen, false, ShowViewer},
+    {"GET", "/assets/{file...}", Access::kOpen, false, ShowViewer},
     {"GET", "/livez", Access::kOpen, false, Livez},
     {"GET", "/readyz", Access::kOpen, false, Readyz},
     {"GET", "/metrics", Access::kRead, false, ShowMetrics},

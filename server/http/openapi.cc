@@ -1,12 +1,9 @@
 #include "server/http/openapi.h"
 
+#include "server/http/embedded_file.h"
+
 namespace strata::server {
 
-extern const unsigned char kOpenApiBytes[];
-extern const unsigned long kOpenApiSize;
-
-std::string_view OpenApiText() {
-  return {reinterpret_cast<const char*>(kOpenApiBytes), kOpenApiSize};
-}
+std::string_view OpenApiText() { return kOpenApiFiles.front().text(); }
 
 }  // namespace strata::server

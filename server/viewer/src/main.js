@@ -1,0 +1,206 @@
+// The page: a mesh comes in, the server samples it, the samples are drawn.
+import {ApiError, downloadModel, hasApiKey, listModels, sample, setApiKey} from './api.js';
+import {
+  readAttributes, readOptions, reportInvalid, watchFiles, watchKeys, watchOptions, watchView,
+} from './controls.js';
+import {readMesh} from './mesh.js';
+import {outputName, queryOf} from './options.js';
+import {
+  saveFile, setState, showFigures, showProblem, showRepeat, showStatistics,
+} from './panel.js';
+import {uniformSamples} from './uniform.js';
+import {frameOf, View} from './view.js';
+import {callerOf} from './worker_call.js';
+
+const PAUSE_MS = 150;  // Without a change, before the server is asked.
+
+const $ = (id) => document.getElementById(id);
+const decode = callerOf(new Worker(new URL('./draco_worker.js', import.meta.url), {type: 'module'}));
+const measure =
+    callerOf(new Worker(new URL('./statistics_worker.js', import.meta.url), {type: 'module'}));
+const view = new View($('canvas'));
+
+/** What is on screen. `mesh` is null where the page could not read what the server can. */
+const page = {file: null, name: '', mesh: null, options: null, samples: null, summary: null};
+let running = new AbortController();  // Of the request in flight: a newer one ends it.
+let timer;
+
+function fail(error) {
+  if (error.name === 'AbortError') return;
+  if (error instanceof ApiError && error.status === 401) $('keys-row').hidden = false;
+  showProblem(error);
+  setState('failed', '');
+}
+
+/** Runs `work` in place of whatever runs; what it throws is shown. */
+async function run(text, work) {
+  running.abort();
+  clearTimeout(timer);
+  const mine = running = new AbortController();
+  setState('busy', text);
+  try {
+    await work(mine.signal);
+  } catch (error) {
+    if (!mine.signal.aborted) fail(error);
+  }
+}
+
+// --- Sampling ------------------------------------------------------------------------------------
+
+async function askServer(options, signal) {
+  const start = performance.now();
+  const {bytes, summary} =
+      await sample(page.file, queryOf(options, 'drc', 'normal,cell,area'), signal);
+  const received = performance.now(), size = bytes.byteLength;
+  const samples = await decode({bytes}, [bytes]);
+  const cost = {request: received - start, decode: performance.now() - received, bytes: size};
+  return {samples, summary, cost};
+}
+
+/** The uniform samples to stand beside `samples`, or null. */
+function uniformBeside(samples) {
+  if (!$('compare').checked || !page.mesh) return null;
+  return uniformSamples(page.mesh.corners, samples.count, Number(BigInt(page.options.seed) % 4294967296n));
+}
+
+async function show(signal) {
+  const {samples, summary} = page;
+  const uniform = uniformBeside(samples);
+  const sets = uniform ? [samples, uniform] : [samples];
+  const {min, max} = summary.mesh.bounds;
+  view.setSamples(sets, summary.lattice, page.mesh ? undefined : frameOf(min, max));
+  $('names').hidden = !uniform;
+  const names = ['stratified', 'uniform'];
+  const measured = await Promise.all(sets.map((one, i) => measure({samples: one, edge: summary.lattice.edge})
+                                                   .then((found) => ({name: names[i], ...found}))));
+  if (!signal.aborted) showStatistics(measured);
+}
+
+function resample() {
+  if (!page.file) return;
+  const options = readOptions();
+  if (!options) {
+    clearTimeout(timer);
+    running.abort();
+    fail({title: 'An option is out of range', message: reportInvalid()});
+    return;
+  }
+  run('Sampling…', async (signal) => {
+    const {samples, summary, cost} = await askServer(options, signal);
+    if (signal.aborted) return;
+    Object.assign(page, {options, samples, summary});
+    showProblem(null);
+    showFigures(summary, cost);
+    repeat();
+    await show(signal);
+    if (!signal.aborted) setState('ready', `${samples.count.toLocaleString('en')} samples`);
+  });
+}
+
+function resampleSoon() {
+  clearTimeout(timer);
+  timer = setTimeout(resample, PAUSE_MS);
+}
+
+// --- Meshes --------------------------------------------------------------------------------------
+
+function noteMesh() {
+  const note = $('mesh-note');
+  note.hidden = page.mesh !== null;
+  note.textContent = 'This page cannot draw this file: only its samples are shown.';
+  for (const id of ['show-mesh', 'compare']) $(id).disabled = page.mesh === null;
+}
+
+function takeMesh(file, name) {
+  return run('Reading…', async (signal) => {
+    const mesh = await readMesh(file, name);
+    if (signal.aborted) return;
+    Object.assign(page, {file, name, mesh, options: null, samples: null, summary: null});
+    $('download').disabled = true;
+    const box = mesh?.geometry.boundingBox;
+    view.setMesh(mesh?.geometry ?? null, box && frameOf(box.min.toArray(), box.max.toArray()));
+    view.home();
+    noteMesh();
+    resample();
+  });
+}
+
+async function offerModels() {
+  const names = await listModels().catch((error) => {
+    if (error.status === 401) fail(error);
+    return [];
+  });
+  $('models').hidden = names.length === 0;
+  $('model').replaceChildren(new Option('choose…', ''), ...names.map((name) => new Option(name)));
+}
+
+function takeModel() {
+  const name = $('model').value;
+  if (!name) return;
+  run('Fetching…', async (signal) => {
+    const file = await downloadModel(name, signal);
+    if (!signal.aborted) await takeMesh(file, name);
+  });
+}
+
+// --- Results -------------------------------------------------------------------------------------
+
+function repeat() {
+  if (!page.options) return;
+  $('download').disabled = false;
+  showRepeat({mesh: page.name, options: page.options, attributes: readAttributes(), key: hasApiKey()});
+}
+
+async function download(format) {
+  setState('busy', `Preparing ${format}…`);
+  try {
+    const {bytes} = await sample(page.file, queryOf(page.options, format, readAttributes()));
+    saveFile(bytes, outputName(page.name, format));
+    showProblem(null);
+    setState('ready', `${bytes.byteLength.toLocaleString('en')} bytes`);
+  } catch (error) {
+    fail(error);
+  }
+}
+
+async function copy(button) {
+  const text = $(button.dataset.copy);
+  text.select();
+  // Without TLS, beyond this machine, browsers have no clipboard for pages: the selection remains.
+  const copied = await navigator.clipboard?.writeText(text.value).then(() => true, () => false);
+  setState(document.body.dataset.state, copied ? 'Copied' : 'Selected: copy with Ctrl+C');
+}
+
+function start() {
+  watchOptions(resampleSoon);
+  watchKeys($('canvas'), view);
+  watchFiles((file) => {
+    $('model').value = '';
+    takeMesh(file, file.name);
+  });
+  watchView((changes) => {
+    view.configure(changes);
+    if ('compare' in changes && page.samples) show(running.signal).catch(fail);
+  });
+  $('model').addEventListener('change', takeModel);
+  $('api-key').addEventListener('change', () => {
+    setApiKey($('api-key').value);
+    showProblem(null);
+    offerModels();
+    resample();
+  });
+  for (const box of document.querySelectorAll('[name=attribute]')) box.addEventListener('change', repeat);
+  $('repeat-format').addEventListener('change', repeat);
+  for (const button of document.querySelectorAll('[data-format]')) {
+    button.addEventListener('click', () => download(button.dataset.format));
+  }
+  for (const button of document.querySelectorAll('[data-copy]')) {
+    button.addEventListener('click', () => copy(button));
+  }
+  $('controls').addEventListener('submit', (event) => event.preventDefault());
+  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => view.draw());
+  showStatistics([]);
+  offerModels();
+}
+
+start();
