@@ -68,6 +68,7 @@ export function watchView(changed) {
       const before = radio.value === 'points' ? 'strokes' : 'points';
       SIZES[before].value = size.value;
       Object.assign(size, SIZES[radio.value]);
+      $('mesh-row').hidden = radio.value === 'strokes';  // Strokes need nothing but its depths.
       changed({mode: radio.value});
     });
   }

@@ -35,7 +35,6 @@ function fail(error) {
 /** Runs `work` in place of whatever runs; what it throws is shown. */
 async function run(text, work) {
   running.abort();
-  clearTimeout(timer);
   const mine = running = new AbortController();
   setState('busy', text);
   try {
@@ -73,14 +72,21 @@ async function show(signal) {
   const names = ['stratified', 'uniform'];
   const measured = await Promise.all(sets.map((one, i) => measure({samples: one, edge: summary.lattice.edge})
                                                    .then((found) => ({name: names[i], ...found}))));
-  if (!signal.aborted) showStatistics(measured);
+  if (signal.aborted) return;
+  showStatistics(measured);
+  setState('ready', `${samples.count.toLocaleString('en')} samples`);
+}
+
+/** Shows again what is there, after a change that the server has no part in. */
+function showAgain() {
+  if (page.samples && document.body.dataset.state !== 'busy') run('Comparing…', show);
 }
 
 function resample() {
+  clearTimeout(timer);
   if (!page.file) return;
   const options = readOptions();
   if (!options) {
-    clearTimeout(timer);
     running.abort();
     fail({title: 'An option is out of range', message: reportInvalid()});
     return;
@@ -93,7 +99,6 @@ function resample() {
     showFigures(summary, cost);
     repeat();
     await show(signal);
-    if (!signal.aborted) setState('ready', `${samples.count.toLocaleString('en')} samples`);
   });
 }
 
@@ -112,6 +117,7 @@ function noteMesh() {
 }
 
 function takeMesh(file, name) {
+  clearTimeout(timer);  // What waits to be sampled is the mesh before.
   return run('Reading…', async (signal) => {
     const mesh = await readMesh(file, name);
     if (signal.aborted) return;
@@ -180,7 +186,7 @@ function start() {
   });
   watchView((changes) => {
     view.configure(changes);
-    if ('compare' in changes && page.samples) show(running.signal).catch(fail);
+    if ('compare' in changes) showAgain();
   });
   $('model').addEventListener('change', takeModel);
   $('api-key').addEventListener('change', () => {

@@ -21,7 +21,7 @@ const FRAGMENT = `
   void main() {
     float r = length(gl_PointCoord - 0.5) * 2.0;
     if (r > 1.0) discard;
-    float rim = smoothstep(1.0 - 2.0 * edge, 1.0, r) * step(edge, 0.4);
+    float rim = smoothstep(1.0 - 2.0 * edge, 1.0, r) * smoothstep(0.5, 0.2, edge);
     gl_FragColor = vec4(colour * (1.0 - 0.45 * rim), 1.0);
   }`;
 

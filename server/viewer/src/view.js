@@ -32,6 +32,7 @@ function litScene() {
   return scene;
 }
 
+const SIGHT = 40 * Math.PI / 180;  // Angle of view along the shorter side.
 const HOME = new Vector3(0.5, 0.35, 1).normalize().multiplyScalar(2.9);
 
 export class View {
@@ -160,6 +161,9 @@ export class View {
                                                                   [this.sets[0]];
     const part = width / shown.length;
     this.camera.aspect = part / height;
+    // The whole model fits the shorter side.
+    const across = Math.tan(SIGHT / 2) / Math.min(1, this.camera.aspect);
+    this.camera.fov = 2 * Math.atan(across) * 180 / Math.PI;
     this.camera.updateProjectionMatrix();
     this.mesh.visible = this.hasMesh && this.settings.mesh;
     if (this.settings.mode === 'strokes' && this.sets.length) this.#drawDepths(part, height);

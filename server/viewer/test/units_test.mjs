@@ -1,0 +1,95 @@
+// What needs no browser: the texts that repeat a request, uniform samples, statistics.
+import assert from 'node:assert/strict';
+import {test} from 'node:test';
+import {commandLine, curlLine, outputName, queryOf, shellWord} from '../src/options.js';
+import {NeighbourGrid} from '../src/neighbours.js';
+import {flatPatches, nearestDistances, radialSpectrum, statisticsOf} from '../src/statistics.js';
+import {randomFrom, uniformSamples} from '../src/uniform.js';
+
+const OPTIONS = {resolution: '64', lambda: '2.5', min_distance: '0.5', seed: '18446744073709551615',
+                 integrator: 'exact'};
+const SEED = 20260722;
+
+test('the command names every option as the user set it', () => {
+  assert.equal(
+      commandLine('spot.obj', OPTIONS, 'ply', 'normal,area'),
+      'strata sample spot.obj -o spot-samples.ply --resolution 64 --lambda 2.5 --min-distance 0.5 ' +
+          '--seed 18446744073709551615 --integrator exact --attributes normal,area');
+});
+
+test('the request names the same options in the words of the wire', () => {
+  const line = curlLine('spot.obj', OPTIONS, 'drc', 'none', {origin: 'http://h:1', key: true});
+  assert.match(line, /^curl --fail-with-body -X POST -H "Authorization: Bearer \$STRATA_KEY" -T /);
+  assert.ok(line.includes(`'http://h:1/v1/samples?${queryOf(OPTIONS, 'drc', 'none')}'`), line);
+  assert.match(line, /min_distance=0\.5&seed=18446744073709551615/);
+});
+
+test('a file name cannot leave its word in the shell', () => {
+  assert.equal(shellWord('a b;$(c)\'d'), '\'a b;$(c)\'\\\'\'d\'');
+  assert.match(commandLine('-x.obj', OPTIONS, 'ply', 'none'), /^strata sample \.\/-x\.obj -o \.\/-x-/);
+  assert.equal(outputName('dir/a.ply.gz', 'npz'), 'a-samples.npz');
+});
+
+/** A unit square in the plane z = 0 as corners. */
+const SQUARE = new Float32Array([0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 0, 0, 1, 1, 0, 0, 1, 0]);
+
+test('uniform samples fill triangles by area and repeat with their seed', () => {
+  // Beside the square a triangle of a quarter of its area, at z = 1.
+  const corners = new Float32Array([...SQUARE, 0, 0, 1, 0.5, 0, 1, 0, 1, 1]);
+  const samples = uniformSamples(corners, 50000, SEED);
+  const above = samples.position.filter((z, i) => i % 3 === 2 && z === 1).length;
+  const expected = 10000, sigma = Math.sqrt(50000 * 0.2 * 0.8);
+  assert.ok(Math.abs(above - expected) < 5 * sigma, `seed ${SEED}: ${above} of 50000`);
+  assert.deepEqual(samples, uniformSamples(corners, 50000, SEED));
+  assert.notDeepEqual(samples.position, uniformSamples(corners, 50000, SEED + 1).position);
+  assert.equal(uniformSamples(new Float32Array(9), 5, SEED), null, 'a mesh without area');
+});
+
+test('the nearest distances are those of brute force', () => {
+  const random = randomFrom(SEED);
+  const position = Float32Array.from({length: 3 * 300}, () => random() * 4 - 2);
+  const grid = new NeighbourGrid(position, 0.3);
+  for (let i = 0; i < 300; ++i) {
+    let best = Infinity;
+    for (let j = 0; j < 300; ++j) if (j !== i) best = Math.min(best, grid.distance2(i, j));
+    assert.equal(grid.nearest(i, 100), Math.sqrt(best), `seed ${SEED}, point ${i}`);
+  }
+});
+
+/** Points of a lattice of `side` by `side`, an edge apart, moved by up to `jitter` edges. */
+function lattice(side, jitter) {
+  const random = randomFrom(SEED), position = new Float32Array(3 * side * side);
+  for (let i = 0; i < side * side; ++i) {
+    position[3 * i] = i % side + jitter * (random() - 0.5);
+    position[3 * i + 1] = Math.floor(i / side) + jitter * (random() - 0.5);
+  }
+  const normal = Float32Array.from(position, (_, i) => i % 3 === 2 ? 1 : 0);
+  return {count: side * side, position, normal};
+}
+
+test('a lattice has equal distances and power at its own frequency', () => {
+  const {nearest, spectrum} = statisticsOf(lattice(60, 0.2), 1);
+  assert.ok(nearest.smallest > 0.75 && nearest.variation < 0.1, JSON.stringify(nearest));
+  const peak = spectrum.frequency[spectrum.power.indexOf(Math.max(...spectrum.power))];
+  assert.ok(Math.abs(peak - 1) < 0.06, `peak at ${peak}`);
+  const lowest = spectrum.power[0];
+  assert.ok(lowest < 0.2, `power ${lowest} at ${spectrum.frequency[0]}`);
+});
+
+test('uniform samples have white noise for a spectrum and Rayleigh distances', () => {
+  const corners = SQUARE.map((x) => x * 60);
+  const samples = uniformSamples(corners, 3600, SEED);
+  const grid = new NeighbourGrid(samples.position, 1);
+  const {mean, variation} = nearestDistances(grid, 1);
+  assert.ok(Math.abs(mean - 0.5) < 0.03, `seed ${SEED}: mean ${mean}, 1/2 for one a square edge`);
+  assert.ok(Math.abs(variation - 0.5227) < 0.03, `seed ${SEED}: variation ${variation}`);
+  const {power} = radialSpectrum(flatPatches(samples, grid, 1));
+  const average = power.reduce((sum, p) => sum + p) / power.length;
+  assert.ok(Math.abs(average - 1) < 0.15, `seed ${SEED}: average power ${average}`);
+});
+
+test('a folded surface has no flat patch', () => {
+  const samples = lattice(40, 0.2);
+  for (let i = 0; i < samples.count; ++i) samples.position[3 * i + 2] = 3 * Math.sin(i % 40);
+  assert.equal(statisticsOf(samples, 1).spectrum, null);
+});
