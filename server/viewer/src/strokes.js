@@ -25,8 +25,12 @@ const VERTEX = `
     vec4 clip = projectionMatrix * modelViewMatrix * vec4(centre, 1.0);
     vec3 place = clip.xyz / clip.w * 0.5 + 0.5;
     vec3 toEye = normalize(cameraPosition - centre);
-    vec3 n = dot(facing, toEye) < 0.0 ? -facing : facing;
-    bool hidden = clip.w > distanceOf(texture2D(depths, place.xy).r) + slack;
+    // A sample that faces away is hidden on a closed surface, and seen on an open one: it gets no slack,
+    // or those just behind the outline would show.
+    float side = dot(facing, toEye) < 0.0 ? -1.0 : 1.0;
+    vec3 n = side * facing;
+    float allowed = side > 0.0 ? slack : 0.02 * slack;
+    bool hidden = clip.w > distanceOf(texture2D(depths, place.xy).r) + allowed;
     if (hidden || any(lessThan(place.xy, vec2(-0.1))) || any(greaterThan(place.xy, vec2(1.1)))) {
       gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
       return;
@@ -41,7 +45,7 @@ const VERTEX = `
     gl_Position = projectionMatrix * modelViewMatrix * vec4(corner, 1.0);
     float light = 0.35 + 0.65 * max(0.0, dot(n, normalize(vec3(0.4, 0.8, 0.5))));
     float shade = light * (0.85 + 0.3 * fract(chance * 7.0));
-    colour = vec4(tint * shade, smoothstep(0.0, 0.35, dot(n, toEye)));
+    colour = vec4(tint * shade, smoothstep(0.0, 0.15, dot(n, toEye)));
     at = position.xy * 2.0;
     bristles = chance * 97.0;
   }`;
