@@ -2,9 +2,12 @@
 
 #include <algorithm>
 #include <array>
+#include <cstdint>
+#include <span>
 #include <string>
 #include <string_view>
 
+#include "server/http/conditional.h"
 #include "server/http/embedded_file.h"
 
 namespace strata::server {
@@ -37,9 +40,16 @@ constexpr const char* kPolicy =
     "connect-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'";
 
-/// Whether an If-None-Match header has this tag (RFC 9110, 13.1.2: weak tags are equal to strong).
-bool Matches(std::string_view header, std::string_view etag) {
-  return header == "*" || header.find(etag) != std::string_view::npos;
+Content ContentOf(const EmbeddedFile& file) {
+  Content content;
+  content.read = [text = file.text()](std::uint64_t offset, std::span<char> out) -> Result<void> {
+    text.copy(out.data(), out.size(), offset);
+    return {};
+  };
+  content.size = file.size;
+  content.media_type = MediaTypeOfFile(file.path);
+  content.etag = file.etag;
+  return content;
 }
 
 }  // namespace
@@ -51,17 +61,11 @@ void RespondViewerFile(Exchange& exchange) {
   if (file == kViewerFiles.end()) {
     return exchange.RespondProblem(ProblemOf(Refusal::kNoSuchPath, "found " + asked));
   }
-  // The names stay when the contents change, so every use asks whether they did.
-  const Headers validity = {{"ETag", file->etag}, {"Cache-Control", "no-cache"}};
-  if (Matches(exchange.header("If-None-Match"), file->etag)) {
-    return exchange.Respond(304, validity, "");
-  }
-  Headers headers = validity;
-  headers.insert(headers.end(), {{"Content-Type", MediaTypeOfFile(path)},
-                                 {"Content-Security-Policy", kPolicy},
-                                 {"Referrer-Policy", "no-referrer"},
-                                 {"Cross-Origin-Opener-Policy", "same-origin"}});
-  exchange.Respond(200, headers, file->text());
+  RespondConditional(exchange, ContentOf(*file),
+                     {{"Cache-Control", "no-cache"},  // Names stay when contents change: ask.
+                      {"Content-Security-Policy", kPolicy},
+                      {"Referrer-Policy", "no-referrer"},
+                      {"Cross-Origin-Opener-Policy", "same-origin"}});
 }
 
 }  // namespace strata::server

@@ -6,7 +6,7 @@
 namespace strata::server {
 
 /// Answers GET of the target's path with the file of server/viewer/dist that it names ("/" is the
-/// page); 304 when If-None-Match has its entity tag. Refuses: kNoSuchPath.
+/// page), as RespondConditional does. Refuses: kNoSuchPath.
 void RespondViewerFile(Exchange& exchange);
 
 }  // namespace strata::server

@@ -1,6 +1,7 @@
 import {defineConfig} from 'vite';
 
-// No hashes in the names: the server revalidates with ETags, and a rebuilt dist/ stays readable in git.
+// No hashes in the names: the server revalidates with ETags, and a rebuilt dist/ stays readable in
+// git.
 const names = {
   entryFileNames: 'assets/[name].js',
   chunkFileNames: 'assets/[name].js',
@@ -10,7 +11,8 @@ const names = {
 export default defineConfig({
   build: {
     target: 'es2022',
-    assetsInlineLimit: 0,  // Its content security policy lets the page load files, not data: addresses.
+    assetsInlineLimit:
+        0,  // Its content security policy lets the page load files, not data: addresses.
     modulePreload: {polyfill: false},
     chunkSizeWarningLimit: 1024,  // KB: three.js is what it is.
     rolldownOptions: {output: names},

@@ -1,4 +1,5 @@
 // The server's HTTP API, docs/http.md.
+import {modelQuery} from './options.js';
 
 /** A failure the page can show. */
 export class ApiError extends Error {
@@ -22,8 +23,8 @@ export function hasApiKey() {
 async function problemOf(response) {
   const type = response.headers.get('Content-Type') ?? '';
   if (type.startsWith('application/problem+json')) return new ApiError(await response.json());
-  return new ApiError({title: `HTTP ${response.status}`, detail: response.statusText,
-                       status: response.status});
+  return new ApiError(
+      {title: `HTTP ${response.status}`, detail: response.statusText, status: response.status});
 }
 
 async function request(path, init = {}) {
@@ -39,22 +40,29 @@ async function request(path, init = {}) {
   return response;
 }
 
+/** @typedef {{file: Blob}|{model: string}} Source a file here, or the name of a stored model */
+
 /**
  * Samples a mesh.
- * @param {Blob} mesh
+ * @param {Source} source
  * @param {string} query of queryOf
  * @param {AbortSignal} [signal] ends the request, and with it the job
- * @returns {Promise<{bytes: ArrayBuffer, summary: object}>} the bytes as the API gave them
+ * @returns {Promise<{bytes: ArrayBuffer, summary: object, cached: boolean}>} bytes: as the API gave
+ *     them
  */
-export async function sample(mesh, query, signal) {
-  const response = await request(`/v1/samples?${query}`, {method: 'POST', body: mesh, signal});
+export async function sample(source, query, signal) {
+  const asked = source.model === undefined ?
+      request(`/v1/samples?${query}`, {method: 'POST', body: source.file, signal}) :
+      request(`/v1/samples?${modelQuery(source.model)}&${query}`, {signal});
+  const response = await asked;
   const summary = JSON.parse(response.headers.get('Strata-Summary') ?? '{}');
-  return {bytes: await response.arrayBuffer(), summary};
+  const cached = response.headers.get('Strata-Cache') === 'hit';
+  return {bytes: await response.arrayBuffer(), summary, cached};
 }
 
-/** The names of the stored models; none when this server stores no models. */
+/** The stored models, as {name, size_bytes, …}; none when this server stores none. */
 export async function listModels() {
-  const names = [];
+  const models = [];
   let token = '';
   do {
     const query = new URLSearchParams({page_size: '1000'});
@@ -63,17 +71,17 @@ export async function listModels() {
     try {
       page = await (await request(`/v1/models?${query}`)).json();
     } catch (error) {
-      if (error instanceof ApiError && error.status === 404) return [];
+      if (error instanceof ApiError && [404, 501].includes(error.status)) return [];
       throw error;
     }
-    names.push(...(page.models ?? []).map((model) => model.name));
+    models.push(...(page.models ?? []));
     token = page.next_page_token ?? '';
   } while (token);
-  return names;
+  return models;
 }
 
 /** The bytes of a stored model. */
 export async function downloadModel(name, signal) {
   const path = name.split('/').map(encodeURIComponent).join('/');
-  return (await request(`/v1/models/${path}/content`, {signal})).blob();
+  return (await request(`/v1/models/${path}?content`, {signal})).blob();
 }

@@ -36,7 +36,8 @@ export function readOptions() {
 /** Says at the field what it takes. */
 export function reportInvalid() {
   const field = OPTION_NAMES.map($).find((input) => !input.checkValidity());
-  return field ? `${field.labels[0].firstChild.textContent.trim()}: ${field.validationMessage}` : '';
+  return field ? `${field.labels[0].firstChild.textContent.trim()}: ${field.validationMessage}` :
+                 '';
 }
 
 /** The attributes chosen for downloads, as the option takes them. */
@@ -57,8 +58,10 @@ export function watchOptions(changed) {
   });
 }
 
-const SIZES = {points: {min: 0.1, max: 2, step: 0.05, value: 0.6},
-               strokes: {min: 0.5, max: 8, step: 0.1, value: 3}};
+const SIZES = {
+  points: {min: 0.1, max: 2, step: 0.05, value: 0.6},
+  strokes: {min: 0.5, max: 8, step: 0.1, value: 3}
+};
 
 /** Calls `changed` with what View.configure takes. */
 export function watchView(changed) {
@@ -73,8 +76,9 @@ export function watchView(changed) {
     });
   }
   const mode = () => document.querySelector('[name=mode]:checked').value;
-  size.addEventListener('input', () => changed(
-      mode() === 'points' ? {point: Number(size.value)} : {stroke: Number(size.value)}));
+  size.addEventListener('input', () => changed(mode() === 'points' ? {point: Number(size.value)} : {
+                                   stroke: Number(size.value)
+                                 }));
   $('colour').addEventListener('change', () => changed({colour: $('colour').value}));
   $('show-mesh').addEventListener('change', () => changed({mesh: $('show-mesh').checked}));
   $('compare').addEventListener('change', () => changed({compare: $('compare').checked}));

@@ -1,6 +1,6 @@
 // Decodes a .drc of Strata off the page's thread. Layout: docs/draco-output.md.
-import createDecoder from 'draco3d/draco_decoder_nodejs.js';
 import wasmAddress from 'draco3d/draco_decoder.wasm?url';
+import createDecoder from 'draco3d/draco_decoder_nodejs.js';
 
 const ready = fetch(wasmAddress)
                   .then((response) => response.arrayBuffer())

@@ -1,13 +1,9 @@
 // The page: a mesh comes in, the server samples it, the samples are drawn.
 import {ApiError, downloadModel, hasApiKey, listModels, sample, setApiKey} from './api.js';
-import {
-  readAttributes, readOptions, reportInvalid, watchFiles, watchKeys, watchOptions, watchView,
-} from './controls.js';
-import {readMesh} from './mesh.js';
+import {readAttributes, readOptions, reportInvalid, watchFiles, watchKeys, watchOptions, watchView} from './controls.js';
+import {MOST_BYTES, readMesh} from './mesh.js';
 import {outputName, queryOf} from './options.js';
-import {
-  saveFile, setState, showFigures, showProblem, showRepeat, showStatistics,
-} from './panel.js';
+import {saveFile, setState, showFigures, showProblem, showRepeat, showStatistics} from './panel.js';
 import {uniformSamples} from './uniform.js';
 import {frameOf, View} from './view.js';
 import {callerOf} from './worker_call.js';
@@ -15,15 +11,45 @@ import {callerOf} from './worker_call.js';
 const PAUSE_MS = 150;  // Without a change, before the server is asked.
 
 const $ = (id) => document.getElementById(id);
-const decode = callerOf(new Worker(new URL('./draco_worker.js', import.meta.url), {type: 'module'}));
+const decode =
+    callerOf(new Worker(new URL('./draco_worker.js', import.meta.url), {type: 'module'}));
 const measure =
     callerOf(new Worker(new URL('./statistics_worker.js', import.meta.url), {type: 'module'}));
-const view = new View($('canvas'));
+const view = openView();
 
-/** What is on screen. `mesh` is null where the page could not read what the server can. */
-const page = {file: null, name: '', mesh: null, options: null, samples: null, summary: null};
+/**
+ * What is on screen. `source`: as in api.js; null: nothing yet. `mesh` is null where the page could
+ * not read what the server can.
+ */
+const page = {
+  source: null,
+  name: '',
+  mesh: null,
+  options: null,
+  samples: null,
+  summary: null
+};
 let running = new AbortController();  // Of the request in flight: a newer one ends it.
 let timer;
+
+/** The view, or where there is no WebGL one that shows nothing: the rest of the page works. */
+function openView() {
+  try {
+    return new View($('canvas'));
+  } catch (error) {
+    showProblem({title: 'This browser does not draw in three dimensions', message: error.message});
+    const nothing = () => {};
+    return {
+      setMesh: nothing,
+      setSamples: nothing,
+      configure: nothing,
+      home: nothing,
+      orbit: nothing,
+      zoom: nothing,
+      draw: nothing
+    };
+  }
+}
 
 function fail(error) {
   if (error.name === 'AbortError') return;
@@ -48,18 +74,38 @@ async function run(text, work) {
 
 async function askServer(options, signal) {
   const start = performance.now();
-  const {bytes, summary} =
-      await sample(page.file, queryOf(options, 'drc', 'normal,cell,area'), signal);
+  const query = queryOf(options, 'drc', 'normal,cell,area');
+  const {bytes, summary, cached} = await sample(page.source, query, signal);
   const received = performance.now(), size = bytes.byteLength;
   const samples = await decode({bytes}, [bytes]);
-  const cost = {request: received - start, decode: performance.now() - received, bytes: size};
+  const decoded = performance.now();
+  const cost = {request: received - start, decode: decoded - received, bytes: size, cached};
   return {samples, summary, cost};
 }
 
 /** The uniform samples to stand beside `samples`, or null. */
 function uniformBeside(samples) {
   if (!$('compare').checked || !page.mesh) return null;
-  return uniformSamples(page.mesh.corners, samples.count, Number(BigInt(page.options.seed) % 4294967296n));
+  return uniformSamples(
+      page.mesh.corners, samples.count, Number(BigInt(page.options.seed) % 4294967296n));
+}
+
+let measuring = Promise.resolve();
+
+/** One at a time: a set that is overtaken while it waits is never measured. */
+async function showMeasured(sets, edge, signal) {
+  const before = measuring;
+  let finished;
+  measuring = new Promise((resolve) => finished = resolve);
+  try {
+    await before;
+    if (signal.aborted) return;
+    const measured = await Promise.all(sets.map((samples) => measure({samples, edge})));
+    const names = ['stratified', 'uniform'];
+    if (!signal.aborted) showStatistics(measured.map((one, i) => ({name: names[i], ...one})));
+  } finally {
+    finished();
+  }
 }
 
 async function show(signal) {
@@ -69,12 +115,8 @@ async function show(signal) {
   const {min, max} = summary.mesh.bounds;
   view.setSamples(sets, summary.lattice, page.mesh ? undefined : frameOf(min, max));
   $('names').hidden = !uniform;
-  const names = ['stratified', 'uniform'];
-  const measured = await Promise.all(sets.map((one, i) => measure({samples: one, edge: summary.lattice.edge})
-                                                   .then((found) => ({name: names[i], ...found}))));
-  if (signal.aborted) return;
-  showStatistics(measured);
   setState('ready', `${samples.count.toLocaleString('en')} samples`);
+  await showMeasured(sets, summary.lattice.edge, signal);
 }
 
 /** Shows again what is there, after a change that the server has no part in. */
@@ -84,7 +126,7 @@ function showAgain() {
 
 function resample() {
   clearTimeout(timer);
-  if (!page.file) return;
+  if (!page.source) return;
   const options = readOptions();
   if (!options) {
     running.abort();
@@ -116,12 +158,18 @@ function noteMesh() {
   for (const id of ['show-mesh', 'compare']) $(id).disabled = page.mesh === null;
 }
 
-function takeMesh(file, name) {
+/**
+ * @param {import('./api.js').Source} source
+ * @param {string} name of the file or model
+ * @param {(signal: AbortSignal) => Promise<Blob|null>} bytes to draw the mesh from; null: too many
+ */
+function takeMesh(source, name, bytes) {
   clearTimeout(timer);  // What waits to be sampled is the mesh before.
   return run('Reading…', async (signal) => {
-    const mesh = await readMesh(file, name);
+    const file = await bytes(signal);
+    const mesh = file && await readMesh(file, name);
     if (signal.aborted) return;
-    Object.assign(page, {file, name, mesh, options: null, samples: null, summary: null});
+    Object.assign(page, {source, name, mesh, options: null, samples: null, summary: null});
     $('download').disabled = true;
     const box = mesh?.geometry.boundingBox;
     view.setMesh(mesh?.geometry ?? null, box && frameOf(box.min.toArray(), box.max.toArray()));
@@ -131,22 +179,31 @@ function takeMesh(file, name) {
   });
 }
 
+function takeFile(file) {
+  $('model').value = '';
+  return takeMesh({file}, file.name, async () => file);
+}
+
 async function offerModels() {
-  const names = await listModels().catch((error) => {
+  const models = await listModels().catch((error) => {
     if (error.status === 401) fail(error);
     return [];
   });
-  $('models').hidden = names.length === 0;
-  $('model').replaceChildren(new Option('choose…', ''), ...names.map((name) => new Option(name)));
+  $('models').hidden = models.length === 0;
+  const offered = models.map(({name, size_bytes: size}) => {
+    const option = new Option(name);
+    option.dataset.size = size;
+    return option;
+  });
+  $('model').replaceChildren(new Option('choose…', ''), ...offered);
 }
 
 function takeModel() {
-  const name = $('model').value;
+  const {value: name, dataset} = $('model').selectedOptions[0];
   if (!name) return;
-  run('Fetching…', async (signal) => {
-    const file = await downloadModel(name, signal);
-    if (!signal.aborted) await takeMesh(file, name);
-  });
+  takeMesh(
+      {model: name}, name,
+      async (signal) => Number(dataset.size) > MOST_BYTES ? null : downloadModel(name, signal));
 }
 
 // --- Results -------------------------------------------------------------------------------------
@@ -154,13 +211,19 @@ function takeModel() {
 function repeat() {
   if (!page.options) return;
   $('download').disabled = false;
-  showRepeat({mesh: page.name, options: page.options, attributes: readAttributes(), key: hasApiKey()});
+  showRepeat({
+    mesh: page.name,
+    stored: page.source.model !== undefined,
+    options: page.options,
+    attributes: readAttributes(),
+    key: hasApiKey()
+  });
 }
 
 async function download(format) {
   setState('busy', `Preparing ${format}…`);
   try {
-    const {bytes} = await sample(page.file, queryOf(page.options, format, readAttributes()));
+    const {bytes} = await sample(page.source, queryOf(page.options, format, readAttributes()));
     saveFile(bytes, outputName(page.name, format));
     showProblem(null);
     setState('ready', `${bytes.byteLength.toLocaleString('en')} bytes`);
@@ -180,10 +243,7 @@ async function copy(button) {
 function start() {
   watchOptions(resampleSoon);
   watchKeys($('canvas'), view);
-  watchFiles((file) => {
-    $('model').value = '';
-    takeMesh(file, file.name);
-  });
+  watchFiles(takeFile);
   watchView((changes) => {
     view.configure(changes);
     if ('compare' in changes) showAgain();
@@ -195,7 +255,8 @@ function start() {
     offerModels();
     resample();
   });
-  for (const box of document.querySelectorAll('[name=attribute]')) box.addEventListener('change', repeat);
+  for (const box of document.querySelectorAll('[name=attribute]'))
+    box.addEventListener('change', repeat);
   $('repeat-format').addEventListener('change', repeat);
   for (const button of document.querySelectorAll('[data-format]')) {
     button.addEventListener('click', () => download(button.dataset.format));

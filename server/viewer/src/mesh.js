@@ -1,12 +1,12 @@
-// Reads a mesh in the browser, to draw it and to draw uniform samples from it. The samples on screen
-// never depend on this: they are the server's.
+// Reads a mesh in the browser, to draw it and to draw uniform samples from it. The samples on
+// screen never depend on this: they are the server's.
 import {BufferAttribute, BufferGeometry} from 'three';
 import {OBJLoader} from 'three/addons/loaders/OBJLoader.js';
 import {PLYLoader} from 'three/addons/loaders/PLYLoader.js';
 import {STLLoader} from 'three/addons/loaders/STLLoader.js';
 
 /** Larger files are sampled but not drawn: the page would stand still for seconds. */
-const MOST_BYTES = 96 << 20;
+export const MOST_BYTES = 96 << 20;
 
 async function unpacked(file) {
   const head = new Uint8Array(await file.slice(0, 2).arrayBuffer());
@@ -27,9 +27,12 @@ async function formatOf(file, name) {
 /** All triangles of a loader's answer as corners, nine numbers a triangle. */
 function cornersOf(object) {
   const parts = [];
-  if (object.isBufferGeometry) parts.push(object);
-  else object.traverse((child) => child.isMesh && parts.push(child.geometry));
-  const flat = parts.map((part) => (part.index ? part.toNonIndexed() : part).attributes.position.array);
+  if (object.isBufferGeometry)
+    parts.push(object);
+  else
+    object.traverse((child) => child.isMesh && parts.push(child.geometry));
+  const flat =
+      parts.map((part) => (part.index ? part.toNonIndexed() : part).attributes.position.array);
   const corners = new Float32Array(flat.reduce((sum, part) => sum + part.length, 0));
   let at = 0;
   for (const part of flat) {
@@ -45,17 +48,20 @@ async function parse(file, format) {
       const geometry = new PLYLoader().parse(await file.arrayBuffer());
       return geometry.index ? geometry : null;  // Without faces there is nothing to draw.
     }
-    case 'stl': return new STLLoader().parse(await file.arrayBuffer());
-    case 'obj': return new OBJLoader().parse(await file.text());
-    default: return null;
+    case 'stl':
+      return new STLLoader().parse(await file.arrayBuffer());
+    case 'obj':
+      return new OBJLoader().parse(await file.text());
+    default:
+      return null;
   }
 }
 
 /**
  * @param {Blob} file
  * @param {string} name
- * @returns {Promise<{geometry: BufferGeometry, corners: Float32Array}|null>} null: not one that the page
- *     reads (or that is well-formed); the server then says what is wrong, if anything is
+ * @returns {Promise<{geometry: BufferGeometry, corners: Float32Array}|null>} null: not one that the
+ *     page reads (or that is well-formed); the server then says what is wrong, if anything is
  */
 export async function readMesh(file, name) {
   try {

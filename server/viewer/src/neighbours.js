@@ -19,8 +19,7 @@ export class NeighbourGrid {
   #fill(count) {
     const buckets = new Uint32Array(count);
     for (let i = 0; i < count; ++i) {
-      const cell = [0, 1, 2].map((axis) => Math.floor(this.position[3 * i + axis] / this.edge));
-      buckets[i] = this.#bucket(...cell);
+      buckets[i] = this.#bucket(...this.#cell(i, 0));
       ++this.starts[buckets[i] + 1];
     }
     for (let b = 1; b < this.starts.length; ++b) this.starts[b] += this.starts[b - 1];
@@ -33,17 +32,27 @@ export class NeighbourGrid {
     return (hash ^ (hash >>> 15)) & this.mask;
   }
 
+  /** The cell of point i, moved by `shift` along each axis. */
+  #cell(i, shift) {
+    const p = this.position, e = this.edge;
+    return [
+      Math.floor((p[3 * i] + shift) / e), Math.floor((p[3 * i + 1] + shift) / e),
+      Math.floor((p[3 * i + 2] + shift) / e)
+    ];
+  }
+
   distance2(i, j) {
     const p = this.position;
     return (p[3 * i] - p[3 * j]) ** 2 + (p[3 * i + 1] - p[3 * j + 1]) ** 2 +
         (p[3 * i + 2] - p[3 * j + 2]) ** 2;
   }
 
-  /** Calls `visit(j, squared distance)` for each other point within `reach` of point i, once. */
+  /**
+   * Calls `visit(j, squared distance)` for each other point within `reach` of point i, once, until
+   * it returns false.
+   */
   visit(i, reach, visit) {
-    const p = this.position, reach2 = reach * reach;
-    const low = [0, 1, 2].map((axis) => Math.floor((p[3 * i + axis] - reach) / this.edge));
-    const high = [0, 1, 2].map((axis) => Math.floor((p[3 * i + axis] + reach) / this.edge));
+    const low = this.#cell(i, -reach), high = this.#cell(i, reach), reach2 = reach * reach;
     const seen = new Set();  // Two cells may share a bucket.
     for (let x = low[0]; x <= high[0]; ++x) {
       for (let y = low[1]; y <= high[1]; ++y) {
@@ -54,16 +63,18 @@ export class NeighbourGrid {
       for (let k = this.starts[bucket]; k < this.starts[bucket + 1]; ++k) {
         const j = this.points[k];
         const d2 = j === i ? Infinity : this.distance2(i, j);
-        if (d2 <= reach2) visit(j, d2);
+        if (d2 <= reach2 && visit(j, d2) === false) return;
       }
     }
   }
 
   /** The distance to the nearest other point, up to `farthest`; infinite beyond. */
   nearest(i, farthest) {
-    for (let reach = this.edge; ; reach = Math.min(2 * reach, farthest)) {
+    for (let reach = this.edge;; reach = Math.min(2 * reach, farthest)) {
       let best = Infinity;
-      this.visit(i, reach, (_, d2) => best = Math.min(best, d2));
+      this.visit(i, reach, (_, d2) => {
+        best = Math.min(best, d2);
+      });
       if (best < Infinity || reach >= farthest) return Math.sqrt(best);
     }
   }

@@ -22,7 +22,8 @@ export function showProblem(error) {
 
 /**
  * @param {object} summary what the server says, as `--summary`
- * @param {{request: number, decode: number, bytes: number}} cost milliseconds and bytes, as seen here
+ * @param {{request: number, decode: number, bytes: number, cached: boolean}} cost milliseconds,
+ *     bytes
  */
 export function showFigures(summary, cost) {
   const skipped = Object.values(summary.mesh.skipped).reduce((sum, n) => sum + n, 0);
@@ -30,10 +31,12 @@ export function showFigures(summary, cost) {
     ['Samples', whole.format(summary.samples.after_rejection)],
     ['Occupied cells', whole.format(summary.cells)],
     ['Edge of a cell', number(summary.lattice.edge, 6)],
-    ['Triangles', whole.format(summary.mesh.triangles) +
-                      (skipped ? `, ${whole.format(skipped)} skipped` : '')],
+    [
+      'Triangles',
+      whole.format(summary.mesh.triangles) + (skipped ? `, ${whole.format(skipped)} skipped` : '')
+    ],
     ['Area', number(summary.mesh.area, 6)],
-    ['Sampling', `${number(summary.seconds * 1000, 3)} ms`],
+    ['Sampling', `${number(summary.seconds * 1000, 3)} ms${cost.cached ? ', done before' : ''}`],
     ['Request, all of it', `${whole.format(cost.request)} ms`],
     ['Decoding', `${whole.format(cost.decode)} ms`],
     ['Received', `${whole.format(cost.bytes)} bytes`],
@@ -53,8 +56,9 @@ function showDistances(all) {
   const said = ({name, nearest}) => `${name}: smallest ${number(nearest.smallest, 3)}, mean ` +
       `${number(nearest.mean, 3)}, variation ${number(nearest.variation, 2)}`;
   const note = `${all.map(said).join('; ')} (lengths in edges)`;
-  plot(figure, all.map(({name, nearest}) => ({name, x, y: nearest.density})),
-       {label: 'distance / edge', mostX: 2, description: `Nearest distances. ${note}`});
+  plot(
+      figure, all.map(({name, nearest}) => ({name, x, y: nearest.density})),
+      {label: 'distance / edge', mostX: 2, description: `Nearest distances. ${note}`});
   figure.querySelector('.note').textContent = note;
 }
 
@@ -62,18 +66,24 @@ function showSpectrum(all) {
   const figure = $('spectrum'), [own] = all, note = figure.querySelector('.note');
   if (!own.spectrum) {
     figure.querySelector('.plot').replaceChildren();
-    note.textContent = 'No part of the surface is flat over 100 samples: a finer resolution may help.';
+    note.textContent =
+        'No part of the surface is flat over 100 samples: a finer resolution may help.';
     return;
   }
   const {patches, samples} = own.spectrum;
   note.textContent = `${whole.format(samples)} samples on ${patches} flat ` +
       `${patches === 1 ? 'patch' : 'patches'}; 1 = white noise`;
-  plot(figure, all.filter(({spectrum}) => spectrum)
-                   .map(({name, spectrum}) => ({name, x: spectrum.frequency, y: spectrum.power})),
-       {label: 'frequency × edge', mostX: 3, description: `Power spectrum. ${note.textContent}`});
+  plot(
+      figure,
+      all.filter(({spectrum}) => spectrum)
+          .map(({name, spectrum}) => ({name, x: spectrum.frequency, y: spectrum.power})),
+      {label: 'frequency × edge', mostX: 3, description: `Power spectrum. ${note.textContent}`});
 }
 
-/** @param {{name: string, nearest: object|null, spectrum: object|null}[]} all the samples' own first */
+/**
+ * @param {{name: string, nearest: object|null, spectrum: object|null}[]} all the samples' own
+ *     first
+ */
 export function showStatistics(all) {
   const [own] = all;
   $('distances').hidden = $('spectrum').hidden = !own?.nearest;
@@ -82,13 +92,16 @@ export function showStatistics(all) {
   showSpectrum(all);
 }
 
-/** @param {{mesh: string, options: object, attributes: string, key: boolean}} shown */
-export function showRepeat({mesh, options, attributes, key}) {
+/**
+ * @param {{mesh: string, stored: boolean, options: object, attributes: string, key: boolean}}
+ *     shown
+ */
+export function showRepeat({mesh, stored, options, attributes, key}) {
   const format = $('repeat-format').value;
   $('repeat').hidden = false;
   $('command').value = commandLine(mesh, options, format, attributes);
-  $('curl').value =
-      curlLine(mesh, options, format, attributes, {origin: window.location.origin, key});
+  const {origin} = window.location;
+  $('curl').value = curlLine(mesh, options, format, attributes, {origin, key, stored});
 }
 
 /** Hands bytes to the browser as a file. */

@@ -24,15 +24,17 @@ function ticks(most, wanted) {
 function axes(mostX, mostY, x, y, label) {
   const parts = [];
   for (const value of ticks(mostX, 5)) {
-    parts.push(element('text', {x: x(value), y: HEIGHT - BOTTOM + 12, 'text-anchor': 'middle'}, value));
+    parts.push(
+        element('text', {x: x(value), y: HEIGHT - BOTTOM + 12, 'text-anchor': 'middle'}, value));
     parts.push(element('line', {class: 'grid', x1: x(value), x2: x(value), y1: TOP, y2: y(0)}));
   }
   for (const value of ticks(mostY, 3)) {
     parts.push(element('text', {x: LEFT - 4, y: y(value) + 3, 'text-anchor': 'end'}, value));
-    parts.push(element('line', {class: 'grid', x1: LEFT, x2: WIDTH - RIGHT, y1: y(value), y2: y(value)}));
+    parts.push(
+        element('line', {class: 'grid', x1: LEFT, x2: WIDTH - RIGHT, y1: y(value), y2: y(value)}));
   }
-  parts.push(element('text', {x: (LEFT + WIDTH - RIGHT) / 2, y: HEIGHT - 4, 'text-anchor': 'middle'},
-                     label));
+  parts.push(element(
+      'text', {x: (LEFT + WIDTH - RIGHT) / 2, y: HEIGHT - 4, 'text-anchor': 'middle'}, label));
   return parts;
 }
 
@@ -40,19 +42,22 @@ function axes(mostX, mostY, x, y, label) {
  * Replaces what is in `figure`'s .plot.
  * @param {HTMLElement} figure
  * @param {{x: number[], y: number[], name: string}[]} series the first is the samples' own
- * @param {{label: string, mostX: number, description: string}} about description: for who cannot see it
+ * @param {{label: string, mostX: number, description: string}} about description: for who cannot
+ *     see it
  */
 export function plot(figure, series, {label, mostX, description}) {
   const mostY = 1.05 * Math.max(...series.flatMap((one) => one.y), 1e-9);
   const x = (value) => LEFT + value / mostX * (WIDTH - LEFT - RIGHT);
   const y = (value) => HEIGHT - BOTTOM - value / mostY * (HEIGHT - TOP - BOTTOM);
-  const lines = series.map((one, i) => element('polyline', {
-    class: `series series-${i}`,
-    points: one.x.map((value, k) => `${x(value).toFixed(1)},${y(one.y[k]).toFixed(1)}`).join(' '),
-  }));
-  const picture = element('svg', {viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: 'img',
-                                  'aria-label': description},
-                          ...axes(mostX, mostY, x, y, label), ...lines);
+  const lines = series.map(
+      (one, i) => element('polyline', {
+        class: `series series-${i}`,
+        points:
+            one.x.map((value, k) => `${x(value).toFixed(1)},${y(one.y[k]).toFixed(1)}`).join(' '),
+      }));
+  const picture = element(
+      'svg', {viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: 'img', 'aria-label': description},
+      ...axes(mostX, mostY, x, y, label), ...lines);
   const legend = document.createElement('p');
   legend.className = 'legend';
   if (series.length > 1) {

@@ -7,8 +7,8 @@ const FARTHEST = BINS * BIN_WIDTH;  // Distances beyond count in the last bin.
 
 /**
  * The distances to the nearest neighbour.
- * @returns {{density: number[], binWidth: number, smallest: number, mean: number, variation: number}}
- *     density: share of the samples per edge; variation: standard deviation over mean
+ * @returns {{density: number[], binWidth: number, smallest: number, mean: number, variation:
+ *     number}} density: share of the samples per edge; variation: standard deviation over mean
  */
 export function nearestDistances(grid, edge) {
   const count = grid.points.length, step = Math.max(1, Math.ceil(count / MOST_ASKED));
@@ -39,8 +39,8 @@ const TRIED = 150;                     // Samples tried as the middle of a patch
 const MOST_PATCHES = 6;
 const MOST_IN_PATCH = 3000;
 const LEAST_IN_PATCH = 100;
-const FLAT_COSINE = 0.95;              // Between normals: 18 degrees.
-const FLAT_HEIGHT = 1;                 // From the plane, in edges.
+const FLAT_COSINE = 0.95;  // Between normals: 18 degrees.
+const FLAT_HEIGHT = 1;     // From the plane, in edges.
 
 const dot = (a, i, b, j) => a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2];
 
@@ -51,8 +51,9 @@ function flatAround({position, normal}, grid, i, reach, edge) {
   grid.visit(i, reach, (j) => {
     const along = [0, 1, 2].map((axis) => position[3 * j + axis] - position[3 * i + axis]);
     const height = Math.abs(dot(along, 0, normal, 3 * i));
-    flat &&= dot(normal, 3 * i, normal, 3 * j) > FLAT_COSINE && height < FLAT_HEIGHT * edge;
+    flat = dot(normal, 3 * i, normal, 3 * j) > FLAT_COSINE && height < FLAT_HEIGHT * edge;
     members.push(j);
+    return flat;
   });
   return flat ? members : null;
 }
@@ -62,8 +63,8 @@ function flatten({position, normal}, members, edge) {
   const i = 3 * members[0];
   const n = [normal[i], normal[i + 1], normal[i + 2]];
   const helper = Math.abs(n[0]) < 0.6 ? [1, 0, 0] : [0, 1, 0];
-  const cross = (a, b) =>
-      [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+  const cross =
+      (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
   const raw = cross(n, helper), length = Math.hypot(...raw);
   const u = raw.map((x) => x / length), v = cross(n, u);
   return members.map((j) => {
@@ -75,10 +76,11 @@ function flatten({position, normal}, members, edge) {
 /**
  * Patches that share no sample: {reach, points}, reach in edges.
  */
-export function flatPatches(samples, grid, edge) {
+export function flatPatches(samples, edge) {
   const patches = [];
   const taken = new Set();
   for (const reach of RADII) {
+    const grid = new NeighbourGrid(samples.position, reach * edge / 3);
     // Visiting a large ball costs its area, so fewer are tried.
     const tried = Math.min(TRIED, Math.ceil(TRIED * 150 / reach ** 2));
     const step = Math.max(1, Math.floor(samples.count / tried));
@@ -122,13 +124,14 @@ function radialPower({reach, points}, weights, frequency) {
 
 /** A disc's taper: without one its rim would leak into all frequencies. */
 function taperOf({reach, points}) {
-  return points.map(([x, y]) => 0.5 + 0.5 * Math.cos(Math.PI * Math.min(1, Math.hypot(x, y) / reach)));
+  return points.map(
+      ([x, y]) => 0.5 + 0.5 * Math.cos(Math.PI * Math.min(1, Math.hypot(x, y) / reach)));
 }
 
 /**
  * The radially averaged power spectrum of flat patches.
- * @returns {{frequency: number[], power: number[], samples: number, patches: number}|null} null: no part
- *     of the samples is flat enough
+ * @returns {{frequency: number[], power: number[], samples: number, patches: number}|null} null: no
+ *     part of the samples is flat enough
  */
 export function radialSpectrum(patches) {
   if (!patches.length) return null;
@@ -142,7 +145,8 @@ export function radialSpectrum(patches) {
     if (f < lowest) continue;
     frequency.push(f);
     power.push(patches.reduce(
-        (sum, patch, k) => sum + patch.points.length / samples * radialPower(patch, tapers[k], f), 0));
+        (sum, patch, k) => sum + patch.points.length / samples * radialPower(patch, tapers[k], f),
+        0));
   }
   return {frequency, power, samples, patches: patches.length};
 }
@@ -153,6 +157,6 @@ export function statisticsOf(samples, edge) {
   const grid = new NeighbourGrid(samples.position, edge);
   return {
     nearest: nearestDistances(grid, edge),
-    spectrum: samples.normal ? radialSpectrum(flatPatches(samples, grid, edge)) : null,
+    spectrum: samples.normal ? radialSpectrum(flatPatches(samples, edge)) : null,
   };
 }

@@ -1,10 +1,8 @@
 // Samples as strokes of a brush, after section 3.1 of the paper: the surface goes to a depth buffer
 // first; each sample that it does not hide becomes a rectangle on the surface whose opacity is a
 // stroke's, and the strokes are blended over each other, the furthest first.
-import {
-  BufferAttribute, DynamicDrawUsage, InstancedBufferAttribute, InstancedBufferGeometry, Mesh,
-  ShaderMaterial, Vector2, Vector3,
-} from 'three';
+import {BufferAttribute, DynamicDrawUsage, InstancedBufferAttribute, InstancedBufferGeometry, Mesh, ShaderMaterial, Vector2, Vector3} from 'three';
+
 import {randomFrom} from './uniform.js';
 
 const VERTEX = `
@@ -25,8 +23,8 @@ const VERTEX = `
     vec4 clip = projectionMatrix * modelViewMatrix * vec4(centre, 1.0);
     vec3 place = clip.xyz / clip.w * 0.5 + 0.5;
     vec3 toEye = normalize(cameraPosition - centre);
-    // A sample that faces away is hidden on a closed surface, and seen on an open one: it gets no slack,
-    // or those just behind the outline would show.
+    // A sample that faces away is hidden on a closed surface and seen on an open one: it gets
+    // hardly any slack, or those just behind the outline would show.
     float side = dot(facing, toEye) < 0.0 ? -1.0 : 1.0;
     vec3 n = side * facing;
     float allowed = side > 0.0 ? slack : 0.02 * slack;
@@ -60,7 +58,8 @@ const FRAGMENT = `
     float hair = mix(hash(i + bristles), hash(i + 1.0 + bristles), smoothstep(0.0, 1.0, lane - i));
     float ends = smoothstep(1.0, 0.55, abs(at.x) + 0.35 * hair * step(0.0, at.x));
     float sides = smoothstep(1.0, 0.7, abs(at.y));
-    gl_FragColor = vec4(colour.rgb * (0.8 + 0.35 * hair), 0.8 * colour.a * ends * sides * (0.45 + 0.55 * hair));
+    float opacity = 0.8 * colour.a * ends * sides * (0.45 + 0.55 * hair);
+    gl_FragColor = vec4(colour.rgb * (0.8 + 0.35 * hair), opacity);
   }`;
 
 const CORNERS = new Float32Array([-0.5, -0.5, 0, 0.5, -0.5, 0, 0.5, 0.5, 0, -0.5, 0.5, 0]);
@@ -86,6 +85,27 @@ class Instances {
       attribute.needsUpdate = true;
     }
   }
+}
+
+const STEPS = 4096;  // Of distance: strokes in one step keep their order.
+
+/** The samples by their distance from `eye`, in linear time: it is done for every picture. */
+function furthestFirst(centres, eye) {
+  const count = centres.length / 3, distances = new Float32Array(count);
+  let most = 0;
+  for (let i = 0; i < count; ++i) {
+    distances[i] =
+        Math.hypot(centres[3 * i] - eye.x, centres[3 * i + 1] - eye.y, centres[3 * i + 2] - eye.z);
+    most = Math.max(most, distances[i]);
+  }
+  const starts = new Uint32Array(STEPS + 1);
+  const steps = Uint16Array.from(
+      distances, (distance) => Math.floor((1 - distance / (most || 1)) * (STEPS - 1)));
+  for (const step of steps) ++starts[step + 1];
+  for (let step = 0; step < STEPS; ++step) starts[step + 1] += starts[step];
+  const order = new Uint32Array(count);
+  for (let i = 0; i < count; ++i) order[starts[steps[i]]++] = i;
+  return order;
 }
 
 function makeMaterial() {
@@ -120,7 +140,8 @@ export class Strokes {
     const random = randomFrom(1);
     const chance = new Float32Array(count).map(random);
     this.centres = centres;
-    this.instances = new Instances(geometry, {centre: centres, facing: normals, tint: tints, chance});
+    this.instances =
+        new Instances(geometry, {centre: centres, facing: normals, tint: tints, chance});
     geometry.instanceCount = count;
     this.mesh = new Mesh(geometry, makeMaterial());
     this.mesh.frustumCulled = false;
@@ -135,13 +156,6 @@ export class Strokes {
   sort(eye) {
     if (this.sortedFrom.equals(eye)) return;
     this.sortedFrom.copy(eye);
-    const {centres} = this;
-    const distances = new Float32Array(centres.length / 3);
-    for (let i = 0; i < distances.length; ++i) {
-      distances[i] = (centres[3 * i] - eye.x) ** 2 + (centres[3 * i + 1] - eye.y) ** 2 +
-          (centres[3 * i + 2] - eye.z) ** 2;
-    }
-    const order = Uint32Array.from(distances.keys()).sort((a, b) => distances[b] - distances[a]);
-    this.instances.arrange(order);
+    this.instances.arrange(furthestFirst(this.centres, eye));
   }
 }

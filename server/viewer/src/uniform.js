@@ -32,8 +32,10 @@ function firstAbove(sums, value) {
   let low = 0, high = sums.length - 1;
   while (low < high) {
     const middle = (low + high) >>> 1;
-    if (sums[middle] > value) high = middle;
-    else low = middle + 1;
+    if (sums[middle] > value)
+      high = middle;
+    else
+      low = middle + 1;
   }
   return low;
 }

@@ -1,14 +1,15 @@
 // What the canvas shows: the mesh and one or two sets of samples, as points or as strokes.
-import {
-  Color, DepthTexture, DirectionalLight, DoubleSide, HemisphereLight, Mesh, MeshBasicMaterial,
-  MeshLambertMaterial, PerspectiveCamera, Scene, Spherical, Vector3, WebGLRenderer, WebGLRenderTarget,
-} from 'three';
+import {Color, DepthTexture, DirectionalLight, DoubleSide, HemisphereLight, Mesh, MeshBasicMaterial, MeshLambertMaterial, PerspectiveCamera, Scene, Spherical, Vector3, WebGLRenderer, WebGLRenderTarget} from 'three';
 import {OrbitControls} from 'three/addons/controls/OrbitControls.js';
+
 import {coloursOf} from './colours.js';
 import {makePoints} from './points.js';
 import {Strokes} from './strokes.js';
 
-/** A scene's frame: the mesh's centre at the origin, half its diagonal 1, so that depths keep exact. */
+/**
+ * A scene's frame: the mesh's centre at the origin, half its diagonal 1, so that depths keep
+ * exact.
+ */
 export function frameOf(min, max) {
   const centre = min.map((low, axis) => (low + max[axis]) / 2);
   const radius = Math.hypot(...min.map((low, axis) => max[axis] - low)) / 2;
@@ -46,19 +47,21 @@ export class View {
     this.controls.minDistance = 0.05;
     this.controls.maxDistance = 20;
     this.controls.addEventListener('change', () => this.draw());
-    this.settings = {mode: 'points', colour: 'normal', mesh: true, compare: false, point: 0.6, stroke: 3};
+    this.settings =
+        {mode: 'points', colour: 'normal', mesh: true, compare: false, point: 0.6, stroke: 3};
     this.frame = {centre: [0, 0, 0], radius: 1};
     this.lattice = {origin: [0, 0, 0], edge: 1};
     this.sets = [];  // {samples, points, strokes}: stratified first, then uniform.
     this.#makeMeshScenes();
     this.home();
     new ResizeObserver(() => this.draw()).observe(canvas);
+    canvas.addEventListener('webglcontextrestored', () => this.draw());
   }
 
   #makeMeshScenes() {
     // The surface lies a little behind its samples, which would flicker otherwise.
-    const offset = {side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1.5,
-                    polygonOffsetUnits: 4};
+    const offset =
+        {side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1.5, polygonOffsetUnits: 4};
     this.meshScene = litScene();
     this.depthScene = new Scene();
     this.mesh = new Mesh(undefined, new MeshLambertMaterial({color: 0xb8bcc4, ...offset}));
@@ -184,18 +187,20 @@ export class View {
   }
 
   #pointsOf(set, height) {
-    set.points ??= makePoints(set.centres, coloursOf(set.samples, this.settings.colour, this.lattice));
+    set.points ??=
+        makePoints(set.centres, coloursOf(set.samples, this.settings.colour, this.lattice));
     const {diameter, pixelsPerUnit} = set.points.material.uniforms;
     diameter.value = this.settings.point * this.lattice.edge / this.frame.radius;
-    pixelsPerUnit.value = height * this.renderer.getPixelRatio() / 2 /
-        Math.tan(this.camera.fov * Math.PI / 360);
+    pixelsPerUnit.value =
+        height * this.renderer.getPixelRatio() / 2 / Math.tan(this.camera.fov * Math.PI / 360);
     return set.points;
   }
 
   /** The depth of the surface; without a mesh, that of discs at the samples that overlap. */
   #drawDepths(width, height) {
     const ratio = this.renderer.getPixelRatio();
-    this.depths.setSize(Math.max(1, Math.floor(width * ratio)), Math.max(1, Math.floor(height * ratio)));
+    this.depths.setSize(
+        Math.max(1, Math.floor(width * ratio)), Math.max(1, Math.floor(height * ratio)));
     this.renderer.setRenderTarget(this.depths);
     this.renderer.clear();
     this.depthMesh.visible = this.hasMesh;

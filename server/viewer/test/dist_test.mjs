@@ -10,7 +10,8 @@ import {build} from 'vite';
 const viewer = dirname(dirname(fileURLToPath(import.meta.url)));
 
 function contents(folder) {
-  const files = readdirSync(folder, {recursive: true, withFileTypes: true}).filter((e) => e.isFile());
+  const files =
+      readdirSync(folder, {recursive: true, withFileTypes: true}).filter((e) => e.isFile());
   return new Map(files.map((entry) => join(entry.parentPath, entry.name))
                      .map((path) => [path.slice(folder.length), readFileSync(path)])
                      .sort(([a], [b]) => a < b ? -1 : 1));
@@ -19,8 +20,12 @@ function contents(folder) {
 test('dist is what the source builds to', async () => {
   const folder = mkdtempSync(join(tmpdir(), 'strata-viewer-'));
   try {
-    await build({root: viewer, configFile: join(viewer, 'vite.config.js'), logLevel: 'error',
-                 build: {outDir: folder, emptyOutDir: true}});
+    await build({
+      root: viewer,
+      configFile: join(viewer, 'vite.config.js'),
+      logLevel: 'error',
+      build: {outDir: folder, emptyOutDir: true}
+    });
     const built = contents(folder), kept = contents(join(viewer, 'dist'));
     assert.deepEqual([...kept.keys()], [...built.keys()]);
     for (const [path, bytes] of built) {

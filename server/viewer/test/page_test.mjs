@@ -1,12 +1,10 @@
 // The page in a real browser, against a real service.
 import assert from 'node:assert/strict';
-import {readFileSync} from 'node:fs';
+import {readFileSync, writeFileSync} from 'node:fs';
 import {join} from 'node:path';
 import {after, afterEach, before, test} from 'node:test';
-import {
-  coloured, count, CUBE, figure, makeKey, openViewer, pixels, resampled, sampleByCommand,
-  scratchFolder, settled, SPOT, startBrowser, startServer,
-} from './support.mjs';
+
+import {coloured, count, CUBE, figure, makeKey, openViewer, pixels, resampled, sampleByCommand, scratchFolder, settled, SPOT, startBrowser, startServer} from './support.mjs';
 
 let server, browser, decoder, viewer;
 before(async () => {
@@ -36,7 +34,11 @@ async function openWith(file, options) {
   return page;
 }
 
-const cubeFile = {name: 'cube.obj', mimeType: 'model/obj', buffer: CUBE};
+const cubeFile = {
+  name: 'cube.obj',
+  mimeType: 'model/obj',
+  buffer: CUBE
+};
 
 /** Moves a slider as a hand would: to a value, with the events of it. */
 const slide = (page, id, value) => page.locator(`#${id}-slider`).fill(String(value));
@@ -44,13 +46,14 @@ const slide = (page, id, value) => page.locator(`#${id}-slider`).fill(String(val
 // --- Files ---------------------------------------------------------------------------------------
 
 test('the page and its parts have types, tags and a policy', async () => {
-  for (const [path, type] of [['/', 'text/html'], ['/assets/index.js', 'text/javascript'],
-                              ['/assets/index.css', 'text/css'],
-                              ['/assets/draco_decoder.wasm', 'application/wasm']]) {
+  for (const [path, type] of [
+           ['/', 'text/html'], ['/assets/index.js', 'text/javascript'],
+           ['/assets/index.css', 'text/css'], ['/assets/draco_decoder.wasm', 'application/wasm']]) {
     const answer = await fetch(server.origin + path);
     assert.equal(answer.status, 200, path);
     assert.ok(answer.headers.get('Content-Type').startsWith(type), path);
-    assert.match(answer.headers.get('Content-Security-Policy'), /^default-src 'none'; script-src 'self'/);
+    assert.match(
+        answer.headers.get('Content-Security-Policy'), /^default-src 'none'; script-src 'self'/);
     const tag = answer.headers.get('ETag');
     const again = await fetch(server.origin + path, {headers: {'If-None-Match': tag}});
     assert.equal(again.status, 304, path);
@@ -96,18 +99,22 @@ test('each slider samples again with its value', async () => {
   await resampled(page, () => slide(page, 'min_distance', 0.75));
   await resampled(page, () => page.click('#next-seed'));
   await resampled(page, () => page.selectOption('#integrator', 'subdivide'));
-  const {summary} = sampleByCommand(SPOT, 'drc', '--resolution', '32', '--lambda', '2', '--min-distance',
-                                    '0.75', '--seed', '1', '--integrator', 'subdivide');
+  const {summary} = sampleByCommand(
+      SPOT, 'drc', '--resolution', '32', '--lambda', '2', '--min-distance', '0.75', '--seed', '1',
+      '--integrator', 'subdivide');
   assert.equal(await figure(page, 'Samples'), summary.samples.after_rejection);
-  assert.match(await page.inputValue('#command'),
-               /--resolution 32 --lambda 2 --min-distance 0.75 --seed 1 --integrator subdivide/);
+  assert.match(
+      await page.inputValue('#command'),
+      /--resolution 32 --lambda 2 --min-distance 0.75 --seed 1 --integrator subdivide/);
 });
 
 test('a newer change ends the request in flight', async () => {
   const page = await openWith(cubeFile);
   const aborted = page.waitForEvent('requestfailed');
   let held = 0;
-  await page.route(/resolution=16&/, () => { ++held; });  // Never answered.
+  await page.route(/resolution=16&/, () => {
+    ++held;
+  });  // Never answered.
   const asked = page.waitForRequest(/resolution=16&/);
   await slide(page, 'resolution', 4);
   await asked;
@@ -159,11 +166,15 @@ test('a mesh that the page cannot read is sampled all the same', async () => {
 // From the first view the cube shows +x, +y, +z; by their normals these are reddish, greenish and
 // bluish, and the three hidden faces teal, purple and olive.
 const faces = {
-  shown: [(r, g, b) => r > g + 40 && r > b + 40, (r, g, b) => g > r + 40 && g > b + 40,
-          (r, g, b) => b > r + 40 && b > g + 40],
-  hidden: [(r, g, b) => g > r + 40 && b > r + 40 && Math.abs(g - b) < 20,
-           (r, g, b) => r > g + 40 && b > g + 40 && Math.abs(r - b) < 20,
-           (r, g, b) => r > b + 40 && g > b + 40 && Math.abs(r - g) < 20],
+  shown: [
+    (r, g, b) => r > g + 40 && r > b + 40, (r, g, b) => g > r + 40 && g > b + 40,
+    (r, g, b) => b > r + 40 && b > g + 40
+  ],
+  hidden: [
+    (r, g, b) => g > r + 40 && b > r + 40 && Math.abs(g - b) < 20,
+    (r, g, b) => r > g + 40 && b > g + 40 && Math.abs(r - b) < 20,
+    (r, g, b) => r > b + 40 && g > b + 40 && Math.abs(r - g) < 20
+  ],
 };
 
 async function faceCounts(page) {
@@ -200,7 +211,8 @@ test('colour by cell and by area change the points', async () => {
     pictures.push(await pixels(page, decoder));
   }
   for (const picture of pictures) assert.ok(count(picture, coloured) > 5000);
-  assert.ok(!pictures[0].data.equals(pictures[1].data) && !pictures[1].data.equals(pictures[2].data));
+  assert.ok(
+      !pictures[0].data.equals(pictures[1].data) && !pictures[1].data.equals(pictures[2].data));
 });
 
 test('uniform samples stand beside the stratified ones', async () => {
@@ -230,8 +242,8 @@ test('downloads have the bytes of the API and of the command', async () => {
     assert.equal(saved.suggestedFilename(), `spot-samples.${format}`);
     const bytes = readFileSync(await saved.path());
     const query = `resolution=64&attributes=normal,area&format=${format}`;
-    const answer = await fetch(`${server.origin}/v1/samples?${query}`,
-                               {method: 'POST', body: readFileSync(SPOT)});
+    const answer = await fetch(
+        `${server.origin}/v1/samples?${query}`, {method: 'POST', body: readFileSync(SPOT)});
     assert.ok(bytes.equals(Buffer.from(await answer.arrayBuffer())), format);
     const flags = ['--resolution', '64', '--attributes', 'normal,area'];
     assert.ok(bytes.equals(sampleByCommand(SPOT, format, ...flags).bytes), format);
@@ -267,15 +279,45 @@ test('a service with keys is asked with the key that is typed in', async () => {
 });
 
 test('stored models are offered where the server has them', async () => {
-  const page = await open();
-  assert.ok(await page.isHidden('#models'));
-  await page.route('**/v1/models?*', (route) => route.fulfill({json: {models: [{name: 'a/cube.obj'}]}}));
-  await page.route('**/v1/models/a/cube.obj/content', (route) => route.fulfill({body: CUBE}));
-  await page.reload();
-  await page.selectOption('#model', 'a/cube.obj');
-  await settled(page);
-  assert.match(await page.inputValue('#command'), /^strata sample a\/cube.obj -o cube-samples.drc /);
+  assert.ok(await (await open()).isHidden('#models'), 'this server stores nothing');
+  await viewer.context.close();
+  const folder = scratchFolder();
+  const storing = await startServer('--data', join(folder.path, 'data'));
+  try {
+    const put = await fetch(`${storing.origin}/v1/models/a/b%20+.obj`, {method: 'PUT', body: CUBE});
+    assert.ok(put.ok, await put.text());
+    viewer = await openViewer(browser, storing.origin);
+    const {page} = viewer;
+    await page.selectOption('#model', 'a/b +.obj');
+    await settled(page);
+    assert.ok(await page.isHidden('#mesh-note'), 'the mesh is drawn as well');
+    await resampled(page, () => slide(page, 'resolution', 4));
+    assert.ok(
+        viewer.asked.some((address) => address.includes('/v1/samples?model=a%2Fb%20%2B.obj&')));
+    const address = /'(http[^']*)'/.exec(await page.inputValue('#curl'))[1];
+    const answer = await fetch(address);
+    const cube = join(folder.path, 'cube.obj');
+    writeFileSync(cube, CUBE);
+    const {bytes} = sampleByCommand(cube, 'drc', '--resolution', '16');
+    assert.ok(
+        bytes.equals(Buffer.from(await answer.arrayBuffer())), 'the request shown has the bytes');
+  } finally {
+    await storing.stop();
+    folder.remove();
+  }
 });
+
+test(
+    'without WebGL the mesh is sampled all the same, and the page says what is missing',
+    async () => {
+      const page = await open();
+      await page.addInitScript(() => HTMLCanvasElement.prototype.getContext = () => null);
+      await page.reload();
+      assert.match(await page.textContent('#problem'), /does not draw in three dimensions/);
+      await page.setInputFiles('#file', cubeFile);
+      await settled(page);
+      assert.ok(await figure(page, 'Samples') > 1000);
+    });
 
 // --- Keys, widths, wishes ------------------------------------------------------------------------
 
@@ -285,11 +327,13 @@ test('the keyboard reaches everything and turns the model', async () => {
   const order = [];
   for (let i = 0; i < 12; ++i) {
     await page.keyboard.press('Tab');
-    order.push(await page.evaluate(() => document.activeElement.id || document.activeElement.className));
+    order.push(
+        await page.evaluate(() => document.activeElement.id || document.activeElement.className));
   }
-  assert.deepEqual(order, ['skip', 'canvas', 'file', 'resolution-slider', 'resolution', 'lambda-slider',
-                           'lambda', 'min_distance-slider', 'min_distance', 'next-seed', 'seed',
-                           'integrator']);
+  assert.deepEqual(order, [
+    'skip', 'canvas', 'file', 'resolution-slider', 'resolution', 'lambda-slider', 'lambda',
+    'min_distance-slider', 'min_distance', 'next-seed', 'seed', 'integrator'
+  ]);
   await page.focus('#canvas');
   const home = await pixels(page, decoder);
   await page.keyboard.press('ArrowLeft');
@@ -306,9 +350,12 @@ test('the keyboard reaches everything and turns the model', async () => {
 
 test('every input has a name', async () => {
   const page = await open();
-  const unnamed = await page.$$eval('input, select, textarea, button, canvas', (all) => all
-      .filter((one) => !one.labels?.length && !one.getAttribute('aria-label') && !one.textContent.trim())
-      .map((one) => one.outerHTML));
+  const unnamed = await page.$$eval(
+      'input, select, textarea, button, canvas',
+      (all) => all.filter(
+                      (one) => !one.labels?.length && !one.getAttribute('aria-label') &&
+                          !one.textContent.trim())
+                   .map((one) => one.outerHTML));
   assert.deepEqual(unnamed, []);
 });
 
@@ -324,9 +371,12 @@ test('the wish for dark colours and no motion is kept', async () => {
   const page = await openWith(cubeFile, {colorScheme: 'dark', reducedMotion: 'reduce'});
   const [r, g, b] = (await pixels(page, decoder)).data;
   assert.ok(r + g + b < 150, `the first pixel is ${r} ${g} ${b}`);
-  const moving = await page.$$eval('*', (all) => all.filter(
-      (one) => getComputedStyle(one).transitionDuration !== '0s' ||
-          getComputedStyle(one).animationName !== 'none').length);
+  const moving = await page.$$eval(
+      '*',
+      (all) => all.filter(
+                      (one) => getComputedStyle(one).transitionDuration !== '0s' ||
+                          getComputedStyle(one).animationName !== 'none')
+                   .length);
   assert.equal(moving, 0);
 });
 

@@ -15,8 +15,9 @@ export const SPOT =
 
 /** A unit cube of twelve triangles. */
 export const CUBE = Buffer.from(
-    [0, 1, 2, 3, 4, 5, 6, 7].map((i) => `v ${i >> 2} ${i >> 1 & 1} ${i & 1}\n`).join('') +
-    ['1 2 4 3', '5 7 8 6', '1 5 6 2', '3 4 8 7', '1 3 7 5', '2 6 8 4'].map((f) => `f ${f}\n`).join(''));
+    [0, 1, 2, 3, 4, 5, 6, 7].map((i) => `v ${i >> 2} ${i >> 1 & 1} ${i & 1}\n`).join('') + [
+      '1 2 4 3', '5 7 8 6', '1 5 6 2', '3 4 8 7', '1 3 7 5', '2 6 8 4'
+    ].map((f) => `f ${f}\n`).join(''));
 
 export function scratchFolder() {
   const path = mkdtempSync(join(tmpdir(), 'strata-viewer-'));
@@ -44,8 +45,10 @@ export function makeKey(file) {
 
 /** `strata serve` on a free port: {origin, stop}. */
 export async function startServer(...options) {
-  const child = spawn(STRATA, ['serve', '--http', '127.0.0.1:0', '--grpc', 'off', '--log-format', 'json',
-                               ...options], {stdio: ['ignore', 'ignore', 'pipe']});
+  const child = spawn(
+      STRATA,
+      ['serve', '--http', '127.0.0.1:0', '--grpc', 'off', '--log-format', 'json', ...options],
+      {stdio: ['ignore', 'ignore', 'pipe']});
   const ended = new Promise((resolve) => child.once('exit', resolve));
   const lines = createInterface({input: child.stderr});
   const address = await new Promise((resolve, reject) => {
@@ -65,7 +68,10 @@ export async function startServer(...options) {
 }
 
 export async function startBrowser() {
-  const options = {executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: ['--no-sandbox']};
+  const options = {
+    executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium',
+    args: ['--no-sandbox']
+  };
   const browser = await chromium.launch(options);
   const decoder = await browser.newPage();  // Its blank page may read images, the viewer's may not.
   return {browser, decoder};
@@ -78,7 +84,9 @@ export async function openViewer(browser, origin, options = {}) {
   page.setDefaultTimeout(PATIENCE_MS);
   const errors = [], asked = [];
   page.on('pageerror', (error) => errors.push(error.stack));
-  page.on('console', (line) => /Content Security|Uncaught/.test(line.text()) && errors.push(line.text()));
+  page.on(
+      'console',
+      (line) => /Content Security|Uncaught/.test(line.text()) && errors.push(line.text()));
   page.on('request', (request) => asked.push(request.url()));
   await page.goto(`${origin}/`);
   return {page, context, errors, asked};
@@ -113,8 +121,10 @@ export async function pixels(page, decoder) {
       () => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
   const png = (await page.locator('#canvas').screenshot()).toString('base64');
   const text = await decoder.evaluate(async (base64) => {
-    const picture = await createImageBitmap(await (await fetch(`data:image/png;base64,${base64}`)).blob());
-    const canvas = new OffscreenCanvas(picture.width, picture.height), brush = canvas.getContext('2d');
+    const picture =
+        await createImageBitmap(await (await fetch(`data:image/png;base64,${base64}`)).blob());
+    const canvas = new OffscreenCanvas(picture.width, picture.height),
+          brush = canvas.getContext('2d');
     brush.drawImage(picture, 0, 0);
     const {data} = brush.getImageData(0, 0, picture.width, picture.height);
     let bytes = '';

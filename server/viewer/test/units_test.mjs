@@ -1,13 +1,19 @@
 // What needs no browser: the texts that repeat a request, uniform samples, statistics.
 import assert from 'node:assert/strict';
 import {test} from 'node:test';
-import {commandLine, curlLine, outputName, queryOf, shellWord} from '../src/options.js';
+
 import {NeighbourGrid} from '../src/neighbours.js';
+import {commandLine, curlLine, outputName, queryOf, shellWord} from '../src/options.js';
 import {flatPatches, nearestDistances, radialSpectrum, statisticsOf} from '../src/statistics.js';
 import {randomFrom, uniformSamples} from '../src/uniform.js';
 
-const OPTIONS = {resolution: '64', lambda: '2.5', min_distance: '0.5', seed: '18446744073709551615',
-                 integrator: 'exact'};
+const OPTIONS = {
+  resolution: '64',
+  lambda: '2.5',
+  min_distance: '0.5',
+  seed: '18446744073709551615',
+  integrator: 'exact'
+};
 const SEED = 20260722;
 
 test('the command names every option as the user set it', () => {
@@ -19,14 +25,24 @@ test('the command names every option as the user set it', () => {
 
 test('the request names the same options in the words of the wire', () => {
   const line = curlLine('spot.obj', OPTIONS, 'drc', 'none', {origin: 'http://h:1', key: true});
-  assert.match(line, /^curl --fail-with-body -X POST -H "Authorization: Bearer \$STRATA_KEY" -T /);
+  assert.match(
+      line, /^curl --fail-with-body -H "Authorization: Bearer \$STRATA_KEY" -X POST -T spot/);
   assert.ok(line.includes(`'http://h:1/v1/samples?${queryOf(OPTIONS, 'drc', 'none')}'`), line);
   assert.match(line, /min_distance=0\.5&seed=18446744073709551615/);
 });
 
+test('the request for a stored model names it and sends nothing', () => {
+  const line = curlLine('a b/+.obj', OPTIONS, 'drc', 'none', {origin: 'http://h:1', stored: true});
+  assert.ok(
+      line.includes(`-o +-samples.drc 'http://h:1/v1/samples?model=a%20b%2F%2B.obj&resolution=`),
+      line);
+  assert.doesNotMatch(line, / -T | POST /);
+});
+
 test('a file name cannot leave its word in the shell', () => {
   assert.equal(shellWord('a b;$(c)\'d'), '\'a b;$(c)\'\\\'\'d\'');
-  assert.match(commandLine('-x.obj', OPTIONS, 'ply', 'none'), /^strata sample \.\/-x\.obj -o \.\/-x-/);
+  assert.match(
+      commandLine('-x.obj', OPTIONS, 'ply', 'none'), /^strata sample \.\/-x\.obj -o \.\/-x-/);
   assert.equal(outputName('dir/a.ply.gz', 'npz'), 'a-samples.npz');
 });
 
@@ -51,7 +67,8 @@ test('the nearest distances are those of brute force', () => {
   const grid = new NeighbourGrid(position, 0.3);
   for (let i = 0; i < 300; ++i) {
     let best = Infinity;
-    for (let j = 0; j < 300; ++j) if (j !== i) best = Math.min(best, grid.distance2(i, j));
+    for (let j = 0; j < 300; ++j)
+      if (j !== i) best = Math.min(best, grid.distance2(i, j));
     assert.equal(grid.nearest(i, 100), Math.sqrt(best), `seed ${SEED}, point ${i}`);
   }
 });
@@ -83,7 +100,7 @@ test('uniform samples have white noise for a spectrum and Rayleigh distances', (
   const {mean, variation} = nearestDistances(grid, 1);
   assert.ok(Math.abs(mean - 0.5) < 0.03, `seed ${SEED}: mean ${mean}, 1/2 for one a square edge`);
   assert.ok(Math.abs(variation - 0.5227) < 0.03, `seed ${SEED}: variation ${variation}`);
-  const {power} = radialSpectrum(flatPatches(samples, grid, 1));
+  const {power} = radialSpectrum(flatPatches(samples, 1));
   const average = power.reduce((sum, p) => sum + p) / power.length;
   assert.ok(Math.abs(average - 1) < 0.15, `seed ${SEED}: average power ${average}`);
 });
