@@ -41,7 +41,8 @@ const VERTEX = `
     vec3 x = along * cos(askew) + across * sin(askew), y = cross(n, x);
     vec3 corner = centre + x * position.x * size.x * (0.8 + 0.4 * chance) + y * position.y * size.y;
     gl_Position = projectionMatrix * modelViewMatrix * vec4(corner, 1.0);
-    float light = 0.35 + 0.65 * max(0.0, dot(n, normalize(vec3(0.4, 0.8, 0.5))));
+    vec3 lamp = normalize((vec4(-0.3, 0.6, 0.7, 0.0) * viewMatrix).xyz);  // Over the eye's shoulder.
+    float light = 0.4 + 0.6 * max(0.0, dot(n, lamp));
     float shade = light * (0.85 + 0.3 * fract(chance * 7.0));
     colour = vec4(tint * shade, smoothstep(0.0, 0.15, dot(n, toEye)));
     at = position.xy * 2.0;

@@ -24,17 +24,19 @@ function framed({position, offset}, {centre, radius}) {
   return placed;
 }
 
+/** Where the light stands, as the eye sees it: over its shoulder. */
+const LAMP = new Vector3(-0.3, 0.6, 0.7);
+
 function litScene() {
   const scene = new Scene();
   scene.add(new HemisphereLight(0xffffff, 0x667788, 1.6));
   const sun = new DirectionalLight(0xffffff, 1.6);
-  sun.position.set(0.4, 0.8, 0.5);
   scene.add(sun);
-  return scene;
+  return {scene, sun};
 }
 
 const SIGHT = 40 * Math.PI / 180;  // Angle of view along the shorter side.
-const HOME = new Vector3(0.5, 0.35, 1).normalize().multiplyScalar(2.9);
+const HOME = new Vector3(0.5, 0.35, 1).normalize().multiplyScalar(2.6);
 
 export class View {
   /** @param {HTMLCanvasElement} canvas */
@@ -62,7 +64,9 @@ export class View {
     // The surface lies a little behind its samples, which would flicker otherwise.
     const offset =
         {side: DoubleSide, polygonOffset: true, polygonOffsetFactor: 1.5, polygonOffsetUnits: 4};
-    this.meshScene = litScene();
+    const {scene, sun} = litScene();
+    this.meshScene = scene;
+    this.sun = sun;
     this.depthScene = new Scene();
     this.mesh = new Mesh(undefined, new MeshLambertMaterial({color: 0xb8bcc4, ...offset}));
     this.depthMesh = new Mesh(undefined, new MeshBasicMaterial({colorWrite: false, ...offset}));
@@ -168,6 +172,7 @@ export class View {
     const across = Math.tan(SIGHT / 2) / Math.min(1, this.camera.aspect);
     this.camera.fov = 2 * Math.atan(across) * 180 / Math.PI;
     this.camera.updateProjectionMatrix();
+    this.sun.position.copy(LAMP).applyQuaternion(this.camera.quaternion);
     this.mesh.visible = this.hasMesh && this.settings.mesh;
     if (this.settings.mode === 'strokes' && this.sets.length) this.#drawDepths(part, height);
     shown.forEach((set, i) => {

@@ -1,6 +1,8 @@
 #!/usr/bin/env python3
 """HTTP as curl speaks it: what is answered to a well-behaved client."""
+import hashlib
 import json
+import pathlib
 import re
 
 import harness
@@ -185,6 +187,47 @@ class Operations(ServerCase):
                                    b'GET /readyz HTTP/1.1\r\nHost: x\r\n\r\n'
                                    b'GET /livez HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n')
         self.assertEqual(len(re.findall(b'HTTP/1.1 200 OK', raw)), 3)
+
+
+class Viewer(ServerCase):
+
+    def files(self):
+        """Path on the server, path in the source, of every file of the viewer."""
+        dist = pathlib.Path(harness.ARGUMENTS['source']) / 'server/viewer/dist'
+        found = [(f'/{file.relative_to(dist)}', file) for file in dist.rglob('*') if file.is_file()]
+        self.assertGreater(len(found), 5)
+        return [('/' if path == '/index.html' else path, file) for path, file in found]
+
+    def test_every_file_is_served_as_it_is_built(self):
+        types = {'.html': 'text/html; charset=utf-8', '.js': 'text/javascript; charset=utf-8',
+                 '.css': 'text/css; charset=utf-8', '.svg': 'image/svg+xml',
+                 '.wasm': 'application/wasm', '.txt': 'text/plain; charset=utf-8'}
+        for path, file in self.files():
+            answer = self.server.curl(path)
+            self.assertEqual(answer.status, 200, path)
+            self.assertTrue(answer.body == file.read_bytes(), path)
+            self.assertEqual(answer.headers['content-type'], types[file.suffix], path)
+
+    def test_what_a_browser_has_is_not_sent_again(self):
+        for path, file in self.files():
+            tag = f'"{hashlib.sha256(file.read_bytes()).hexdigest()}"'
+            answer = self.server.curl(path, '-H', f'If-None-Match: {tag}')
+            self.assertEqual((answer.status, answer.body), (304, b''), path)
+            self.assertEqual(answer.headers['etag'], tag)
+            self.assertEqual(answer.headers['cache-control'], 'no-cache')
+            self.assertEqual(self.server.curl(path, '-H', 'If-None-Match: "x"').status, 200)
+
+    def test_the_page_may_load_from_its_server_alone(self):
+        policy = self.server.curl('/').headers['content-security-policy']
+        self.assertIn("default-src 'none'", policy)
+        sources = {word for rule in policy.split(';') for word in rule.split()[1:]}
+        self.assertEqual(sources, {"'none'", "'self'", "'wasm-unsafe-eval'"})
+
+    def test_other_names_are_not_found(self):
+        for path in ('/assets/', '/assets/none.js', '/assets/../index.html', '/index.html',
+                     '/assets/%2e%2e/%2e%2e/CMakeLists.txt'):
+            self.assertProblem(self.server.curl(path, '--path-as-is'), 404, 'no-such-endpoint')
+        self.assertProblem(self.server.curl('/', body=b'x'), 405, 'method-not-allowed', 'GET')
 
 
 if __name__ == '__main__':
