@@ -51,14 +51,18 @@ export function showFigures(summary, cost) {
 }
 
 function showDistances(all) {
-  const figure = $('distances'), [own] = all;
-  const x = own.nearest.density.map((_, i) => (i + 0.5) * own.nearest.binWidth);
+  const figure = $('distances');
   const said = ({name, nearest}) => `${name}: smallest ${number(nearest.smallest, 3)}, mean ` +
       `${number(nearest.mean, 3)}, variation ${number(nearest.variation, 2)}`;
   const note = `${all.map(said).join('; ')} (lengths in edges)`;
+  const series = all.map(({name, nearest: {density, binWidth}}) => ({
+                           name,
+                           x: density.map((_, i) => (i + 0.5) * binWidth),
+                           y: density,
+                         }));
+  const mostX = Math.max(...all.map(({nearest}) => nearest.density.length * nearest.binWidth));
   plot(
-      figure, all.map(({name, nearest}) => ({name, x, y: nearest.density})),
-      {label: 'distance / edge', mostX: 2, description: `Nearest distances. ${note}`});
+      figure, series, {label: 'distance / edge', mostX, description: `Nearest distances. ${note}`});
   figure.querySelector('.note').textContent = note;
 }
 

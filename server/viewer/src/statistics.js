@@ -2,33 +2,40 @@
 import {NeighbourGrid} from './neighbours.js';
 
 const MOST_ASKED = 50000;  // Points whose nearest neighbour is looked for; an even choice of more.
-const BINS = 40, BIN_WIDTH = 0.05;
-const FARTHEST = BINS * BIN_WIDTH;  // Distances beyond count in the last bin.
+const BINS = 40;
+const FARTHEST = 16;    // Distances beyond are not told apart.
+const LEAST_RANGE = 2;  // Of the histogram.
+
+function histogram(distances, largest) {
+  const range = Math.max(LEAST_RANGE, Math.ceil(largest * 1.01)), binWidth = range / BINS;
+  const density = new Array(BINS).fill(0);
+  for (const d of distances) {
+    density[Math.min(BINS - 1, Math.floor(d / binWidth))] += 1 / distances.length / binWidth;
+  }
+  return {density, binWidth};
+}
 
 /**
  * The distances to the nearest neighbour.
- * @returns {{density: number[], binWidth: number, smallest: number, mean: number, variation:
- *     number}} density: share of the samples per edge; variation: standard deviation over mean
+ * @returns {{density: number[], binWidth: number, smallest: number, mean: number,
+ *     variation: number}} density: share of the samples per edge; variation: standard deviation
+ * over mean
  */
 export function nearestDistances(grid, edge) {
-  const count = grid.points.length, step = Math.max(1, Math.ceil(count / MOST_ASKED));
-  const density = new Array(BINS).fill(0);
-  let asked = 0, sum = 0, squares = 0, smallest = Infinity;
+  const count = grid.points.length, step = Math.ceil(count / MOST_ASKED);
+  const distances = [];
   for (let i = 0; i < count; i += step) {
-    const distance = Math.min(grid.nearest(i, 2 * FARTHEST * edge) / edge, 2 * FARTHEST);
-    density[Math.min(BINS - 1, Math.floor(distance / BIN_WIDTH))] += 1;
-    smallest = Math.min(smallest, distance);
-    sum += distance;
-    squares += distance * distance;
-    ++asked;
+    distances.push(Math.min(grid.nearest(i, FARTHEST * edge) / edge, FARTHEST));
   }
-  const mean = sum / asked;
+  const sum = (f) => distances.reduce((total, d) => total + f(d), 0);
+  const extreme = (pick) => distances.reduce((a, b) => pick(a, b));
+  const mean = sum((d) => d) / distances.length;
+  const deviation = Math.sqrt(sum((d) => (d - mean) ** 2) / distances.length);
   return {
-    density: density.map((n) => n / asked / BIN_WIDTH),
-    binWidth: BIN_WIDTH,
-    smallest,
+    ...histogram(distances, extreme(Math.max)),
+    smallest: extreme(Math.min),
     mean,
-    variation: Math.sqrt(Math.max(0, squares / asked - mean * mean)) / mean,
+    variation: deviation / mean,
   };
 }
 
