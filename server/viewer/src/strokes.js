@@ -23,12 +23,13 @@ const VERTEX = `
     vec4 clip = projectionMatrix * modelViewMatrix * vec4(centre, 1.0);
     vec3 place = clip.xyz / clip.w * 0.5 + 0.5;
     vec3 toEye = normalize(cameraPosition - centre);
-    // A sample that faces away is hidden on a closed surface and seen on an open one: it gets
-    // hardly any slack, or those just behind the outline would show.
+    // A sample that faces away is hidden on a closed surface and seen on an open one: it gets hardly
+    // any slack, and none where rounding puts it beyond the outline.
     float side = dot(facing, toEye) < 0.0 ? -1.0 : 1.0;
     vec3 n = side * facing;
-    float allowed = side > 0.0 ? slack : 0.02 * slack;
-    bool hidden = clip.w > distanceOf(texture2D(depths, place.xy).r) + allowed;
+    float depth = texture2D(depths, place.xy).r;
+    bool hidden = clip.w > distanceOf(depth) + (side > 0.0 ? slack : 0.02 * slack) ||
+        (side < 0.0 && depth == 1.0);
     if (hidden || any(lessThan(place.xy, vec2(-0.1))) || any(greaterThan(place.xy, vec2(1.1)))) {
       gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
       return;
@@ -42,7 +43,7 @@ const VERTEX = `
     vec3 corner = centre + x * position.x * size.x * (0.8 + 0.4 * chance) + y * position.y * size.y;
     gl_Position = projectionMatrix * modelViewMatrix * vec4(corner, 1.0);
     vec3 lamp = normalize((vec4(-0.3, 0.6, 0.7, 0.0) * viewMatrix).xyz);  // Over the eye's shoulder.
-    float light = 0.4 + 0.6 * max(0.0, dot(n, lamp));
+    float light = 0.55 + 0.5 * max(0.0, dot(n, lamp));
     float shade = light * (0.85 + 0.3 * fract(chance * 7.0));
     colour = vec4(tint * shade, smoothstep(0.0, 0.15, dot(n, toEye)));
     at = position.xy * 2.0;

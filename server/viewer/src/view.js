@@ -36,7 +36,7 @@ function litScene() {
 }
 
 const SIGHT = 40 * Math.PI / 180;  // Angle of view along the shorter side.
-const HOME = new Vector3(0.5, 0.35, 1).normalize().multiplyScalar(2.6);
+const HOME = new Vector3(0.5, 0.35, 1).normalize().multiplyScalar(2.9);
 
 export class View {
   /** @param {HTMLCanvasElement} canvas */
