@@ -3,7 +3,7 @@ import {ApiError, downloadModel, hasApiKey, listModels, sample, setApiKey} from 
 import {readAttributes, readOptions, reportInvalid, watchFiles, watchKeys, watchOptions, watchView} from './controls.js';
 import {MOST_BYTES, readMesh} from './mesh.js';
 import {outputName, queryOf} from './options.js';
-import {saveFile, setState, showFigures, showProblem, showRepeat, showStatistics} from './panel.js';
+import {clearResult, saveFile, setState, showFigures, showProblem, showRepeat, showStatistics} from './panel.js';
 import {uniformSamples} from './uniform.js';
 import {frameOf, View} from './view.js';
 import {callerOf} from './worker_call.js';
@@ -170,7 +170,7 @@ function takeMesh(source, name, bytes) {
     const mesh = file && await readMesh(file, name);
     if (signal.aborted) return;
     Object.assign(page, {source, name, mesh, options: null, samples: null, summary: null});
-    $('download').disabled = true;
+    clearResult();
     const box = mesh?.geometry.boundingBox;
     view.setMesh(mesh?.geometry ?? null, box && frameOf(box.min.toArray(), box.max.toArray()));
     view.home();
@@ -221,10 +221,11 @@ function repeat() {
 }
 
 async function download(format) {
+  const {source, name, options} = page;  // As they are now: another mesh may come meanwhile.
   setState('busy', `Preparing ${format}…`);
   try {
-    const {bytes} = await sample(page.source, queryOf(page.options, format, readAttributes()));
-    saveFile(bytes, outputName(page.name, format));
+    const {bytes} = await sample(source, queryOf(options, format, readAttributes()));
+    saveFile(bytes, outputName(name, format));
     showProblem(null);
     setState('ready', `${bytes.byteLength.toLocaleString('en')} bytes`);
   } catch (error) {
@@ -266,7 +267,7 @@ function start() {
   }
   $('controls').addEventListener('submit', (event) => event.preventDefault());
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => view.draw());
-  showStatistics([]);
+  clearResult();
   offerModels();
 }
 

@@ -96,6 +96,14 @@ export function showStatistics(all) {
   showSpectrum(all);
 }
 
+/** Takes away what was said of the mesh before. */
+export function clearResult() {
+  $('figures').replaceChildren();
+  $('repeat').hidden = true;
+  $('download').disabled = true;
+  showStatistics([]);
+}
+
 /**
  * @param {{mesh: string, stored: boolean, options: object, attributes: string, key: boolean}}
  *     shown

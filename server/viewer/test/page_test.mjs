@@ -149,6 +149,10 @@ test('a bad file is refused in the words of the API', async () => {
   await page.setInputFiles('#file', cubeFile);
   await settled(page);
   assert.ok(await page.isHidden('#problem'), 'a good file clears the problem');
+  await page.setInputFiles('#file', {name: 'bad.ply', mimeType: '', buffer});
+  await settled(page, 'failed');
+  assert.equal(await page.textContent('#figures'), '', 'nothing is left of the file before');
+  assert.ok(await page.isDisabled('[data-format=ply]'));
 });
 
 test('a mesh that the page cannot read is sampled all the same', async () => {
