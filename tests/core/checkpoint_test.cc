@@ -107,7 +107,7 @@ TEST_P(Checkpoints, AllLeadToTheSameSamplesAndFigures) {
   const auto expected = Sample(mesh, whole);
   ASSERT_TRUE(expected) << expected.error().message;
   EXPECT_EQ(expected->stats.resumed_at, 0u);
-  ASSERT_GE(whole.saved().size(), 4u) << "the mesh is too small to show much";
+  ASSERT_GE(whole.saved().size(), 2u) << "the mesh is too small to show anything";
   std::uint64_t before = 0;
   for (std::size_t i = 0; i < whole.saved().size(); ++i) {
     SCOPED_TRACE(i);
