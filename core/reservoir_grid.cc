@@ -24,9 +24,10 @@ constexpr std::size_t kShards = 32;
 
 constexpr std::uint32_t kNoSlot = 0xffffffff;
 
-// Leaves of 8^3 cells below nodes of 128^3; values are slot numbers, 4 bytes each (an OpenVDB value
-// above 8 bytes makes nodes of megabytes). The root is a sorted map, so far-apart parts cost
-// nothing. The root node itself, not openvdb::Tree around it: Tree's virtual functions for files
+// Leaves of 8^3 cells below nodes of 32^3; values are slot numbers, 4 bytes each (an OpenVDB value
+// above 8 bytes makes nodes of megabytes). A shard has every 32nd block of a neighbourhood, so nodes
+// of the usual 128^3, 34 KB each, would be empty pointers but for a few. The root is a sorted map,
+// so far-apart parts cost nothing. The root node itself, not openvdb::Tree around it: Tree's virtual functions for files
 // would pull in the shared library, whose relocations take longer than sampling a small mesh
 // (docs/adr/0005).
 struct Slot {  // A type of our own, so that no instantiation is shared with the library's.
@@ -36,7 +37,7 @@ struct Slot {  // A type of our own, so that no instantiation is shared with the
   bool operator==(const Slot&) const = default;
 };
 using Leaf = openvdb::tree::LeafNode<Slot, 3>;
-using Branch = openvdb::tree::InternalNode<Leaf, 4>;
+using Branch = openvdb::tree::InternalNode<Leaf, 2>;
 using SlotTree = openvdb::tree::RootNode<Branch>;
 
 openvdb::Coord ToCoord(Cell c) { return {c.x, c.y, c.z}; }
@@ -108,9 +109,10 @@ struct ReservoirGrid::Shard {
 
   std::uint64_t bytes() const {
     return slots.bytes() + leaves * (sizeof(Leaf) + kAllocation) +
-           tree.getTableSize() * (sizeof(Branch) + kAllocation);
+           tree.getTableSize() * (sizeof(Branch) + kAllocation + kRootEntry);
   }
   static constexpr std::uint64_t kAllocation = 32;  // What the allocator adds.
+  static constexpr std::uint64_t kRootEntry = 96;   // A node of the root's map.
   std::uint64_t leaves = 0;
 };
 
