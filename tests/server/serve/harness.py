@@ -198,7 +198,7 @@ LONG = '/v1/samples?resolution=3000&format=xyz'
 
 def long_request():
     """LONG as raw bytes."""
-    return (b'POST %s HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n' %
+    return (b'POST %s HTTP/1.1\r\nHost: localhost\r\nContent-Length: %d\r\n\r\n' %
             (LONG.encode(), len(CUBE)) + CUBE)
 
 

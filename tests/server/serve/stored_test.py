@@ -98,7 +98,7 @@ class Models(StoredCase):
                            'conflict')
 
     def test_a_put_that_is_broken_off_leaves_nothing(self):
-        self.server.exchange(b'PUT /v1/models/half HTTP/1.1\r\nHost: x\r\nContent-Length: 99\r\n'
+        self.server.exchange(b'PUT /v1/models/half HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99\r\n'
                              b'\r\nv 0', close_writing=True)
         self.assertProblem(self.server.curl('/v1/models/half'), 404, 'not-found')
 
@@ -241,7 +241,7 @@ class Tus(StoredCase):
 
     def test_what_a_broken_connection_brought_is_kept(self):
         where = self.create('cut.obj', f'Upload-Length: {len(CUBE)}').headers['location']
-        self.server.exchange(f'PATCH {where} HTTP/1.1\r\nHost: x\r\nTus-Resumable: 1.0.0\r\n'
+        self.server.exchange(f'PATCH {where} HTTP/1.1\r\nHost: localhost\r\nTus-Resumable: 1.0.0\r\n'
                              'Content-Type: application/offset+octet-stream\r\nUpload-Offset: 0\r\n'
                              f'Content-Length: {len(CUBE)}\r\n\r\n'.encode() + CUBE[:33],
                              close_writing=True)
