@@ -114,7 +114,8 @@ class OtherSites(ServerCase):
 
     def test_a_name_that_somebody_points_here_gets_nothing(self):
         for host in ('evil.example', f'evil.example:{self.server.http_port}',
-                     '127.0.0.1.evil.example', 'localhost.evil.example', 'evil.localhost', 'evil.example:localhost',
+                     '127.0.0.1.evil.example', 'localhost.evil.example', 'evil.localhost',
+                     'evil.example:localhost',
                      'evil.example@localhost', 'localhost@evil.example', '192.0.2.8', '[::2]',
                      '0.0.0.0', '10.0.0.1', '127.1', 'x.meshes.example', '', None):
             with self.subTest(host=host):
