@@ -221,15 +221,15 @@ class Crash(unittest.TestCase):
         server, left, cut = self.serve(), 0, 0
         for number in range(KILLS):
             after = draw.uniform(0, LOAD_SECONDS)
-            with self.subTest(kill=number, after=after):
-                load = Load(server.http_port, draw, self.known)
-                load.run_until(self.kill(server, after))
-                self.assertEqual(load.refused, [])
-                server.stop()
-                left += bool(self.disk.strangers())
-                cut += bool(self.disk.query('SELECT id FROM jobs WHERE finished IS NULL'))
-                server = self.serve()
-                self.assertKept(server)
+            print(f'kill {number}: {after:.3f} s under load', flush=True)
+            load = Load(server.http_port, draw, self.known)
+            load.run_until(self.kill(server, after))
+            self.assertEqual(load.refused, [])
+            server.stop()
+            left += bool(self.disk.strangers())
+            cut += bool(self.disk.query('SELECT id FROM jobs WHERE finished IS NULL'))
+            server = self.serve()
+            self.assertKept(server)
         for name, resolution in self.known.jobs.items():
             result = server.curl(f'/v1/jobs/{name}/result').body
             expected = sample_by_command(spot(), 'ply', '--resolution', str(resolution))
