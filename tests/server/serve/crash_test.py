@@ -172,9 +172,11 @@ class Crash(unittest.TestCase):
         self.disk, self.known = Disk(self.at), Known()
 
     def serve(self):
-        return Server('--data', str(self.disk.data), '--models', str(self.at / 'models'),
-                      '--scratch', str(self.disk.scratch), '--log-level', 'info',
-                      environment={'TMPDIR': str(self.disk.temporary)})
+        server = Server('--data', str(self.disk.data), '--models', str(self.at / 'models'),
+                        '--scratch', str(self.disk.scratch), '--log-level', 'info',
+                        environment={'TMPDIR': str(self.disk.temporary)})
+        self.addCleanup(server.stop)
+        return server
 
     def kill(self, server, after):
         """At that moment, in seconds from the first answer."""
