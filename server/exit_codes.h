@@ -54,6 +54,7 @@ enum class Refusal : std::uint8_t {
   kMalformed,        ///< The request is not well-formed: JSON, query, header, message.
   kUnauthenticated,  ///< No key, or none that is known.
   kForbidden,        ///< The key may not do this.
+  kCrossSite,        ///< A browser carries it for a page of another site.
   kNoSuchPath,       ///< No endpoint has this path.
   kMethod,           ///< The endpoint does not take this method.
   kNotAcceptable,    ///< No format of the result fits the `Accept` header.
@@ -62,12 +63,13 @@ enum class Refusal : std::uint8_t {
   kBodyTooLarge,     ///< More bytes than one request may carry.
   kMediaType,        ///< The body is of a type that the endpoint does not take.
   kRange,            ///< No byte of the asked-for range exists.
+  kMisdirected,      ///< `Host` names another host than this one.
   kTooMany,          ///< This client, or all together, asked for too much at a time.
   kHeaderTooLarge,   ///< More header bytes or fields than allowed.
   kNotImplemented,   ///< A part of the protocol that this server does not speak.
   kUnavailable,      ///< Not now: shutting down, or no room.
 };
-inline constexpr int kRefusalCount = 15;
+inline constexpr int kRefusalCount = 17;
 
 /// How one Refusal looks over HTTP and over gRPC; the fields are those of ExitCode.
 struct RefusalRow {
@@ -82,6 +84,7 @@ inline constexpr std::array<RefusalRow, kRefusalCount> kRefusals = {{
     {Refusal::kMalformed, 400, 3, "malformed-request", "the request is not well-formed"},
     {Refusal::kUnauthenticated, 401, 16, "unauthenticated", "a known API key is needed"},
     {Refusal::kForbidden, 403, 7, "forbidden", "the API key may not do this"},
+    {Refusal::kCrossSite, 403, 7, "cross-site", "a page of another site sent the request"},
     {Refusal::kNoSuchPath, 404, 12, "no-such-endpoint", "no endpoint has this path"},
     {Refusal::kMethod, 405, 12, "method-not-allowed", "the endpoint does not take this method"},
     {Refusal::kNotAcceptable, 406, 3, "not-acceptable", "no format fits the Accept header"},
@@ -90,6 +93,7 @@ inline constexpr std::array<RefusalRow, kRefusalCount> kRefusals = {{
     {Refusal::kBodyTooLarge, 413, 8, "body-too-large", "the body is larger than allowed"},
     {Refusal::kMediaType, 415, 3, "unsupported-media-type", "the body's media type is not taken"},
     {Refusal::kRange, 416, 11, "range-not-satisfiable", "the range lies beyond the end"},
+    {Refusal::kMisdirected, 421, 9, "misdirected-request", "the request is for another host"},
     {Refusal::kTooMany, 429, 8, "too-many-requests", "too much is asked for at a time"},
     {Refusal::kHeaderTooLarge, 431, 8, "header-too-large", "the header is larger than allowed"},
     {Refusal::kNotImplemented, 501, 12, "not-implemented", "not a part of this server"},

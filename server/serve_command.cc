@@ -38,6 +38,12 @@ Result<std::unique_ptr<HttpServer>> StartHttp(const ServeCommand& command, Servi
   options.address = command.http->address;
   options.port = command.http->port;
   options.limits = command.http_limits;
+  // Another site's page does not know a key, but a browser shows its certificate to whoever asks.
+  const bool keys = !command.keys.empty();
+  options.guard = BrowserGuard({.refuse_other_sites = !keys,
+                                .refuse_other_hosts = !keys && command.tls.client_ca.empty(),
+                                .address = command.http->address,
+                                .names = command.allowed_hosts});
   if (command.tls.on()) {
     auto tls = TlsContext::Load(command.tls);
     if (!tls) return Forward(tls);

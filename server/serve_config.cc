@@ -10,6 +10,7 @@
 #include <sstream>
 #include <thread>
 
+#include "server/http/browser_guard.h"
 #include "server/memory.h"
 #include "server/nearest_name.h"
 #include "server/parse_number.h"
@@ -91,6 +92,17 @@ class Reader {
     }
     Refuse("--" + name + ": found '" + text + "', expected ADDRESS:PORT or off");
     return std::nullopt;
+  }
+  /// The values of an option that may be repeated; each passes `check`.
+  std::vector<std::string> Each(const std::string& name, bool (*check)(std::string_view),
+                                const char* expected) {
+    std::vector<std::string> values;
+    std::istringstream text(Text(name));
+    for (std::string value; std::getline(text, value, ',');) {
+      if (!check(value)) Refuse("--" + name + ": found '" + value + "', expected " + expected);
+      values.push_back(value);
+    }
+    return values;
   }
   void Refuse(std::string message) {
     if (outcome_) outcome_ = Invalid(std::move(message));
@@ -202,11 +214,37 @@ std::vector<std::string> WithValues(std::span<const std::string> arguments) {
   return all;
 }
 
-std::string TextOf(const toml::node& node) {
+/// Several values of an option as its one text.
+std::string Joined(const std::vector<std::string>& values) {
+  std::string all;
+  for (const std::string& value : values) all += (all.empty() ? "" : ",") + value;
+  return all;
+}
+
+std::string TextOf(const toml::node& node, bool repeated) {
+  if (const auto* const list = node.as_array(); list && repeated) {
+    std::vector<std::string> values;
+    for (const toml::node& each : *list) values.push_back(TextOf(each, false));
+    return Joined(values);
+  }
   if (const auto* const text = node.as_string()) return text->get();
   if (const auto* const truth = node.as_boolean()) return truth->get() ? "on" : "off";
   if (const auto* const whole = node.as_integer()) return std::to_string(whole->get());
   return {};
+}
+
+void AddOption(CLI::App& app, const ServeOption& option, ServeTexts& given) {
+  const std::string flag = std::string("--") + option.name;
+  const auto once = [&given, name = option.name](const std::string& text) { given[name] = text; };
+  const auto each = [&given, name = option.name](const std::vector<std::string>& values) {
+    given[name] = Joined(values);
+  };
+  CLI::Option* const added =
+      option.repeated
+          ? app.add_option_function<std::vector<std::string>>(flag, each, HelpOf(option))
+                ->allow_extra_args(false)
+          : app.add_option_function<std::string>(flag, once, HelpOf(option));
+  added->option_text(option.value)->group(option.group);
 }
 
 }  // namespace
@@ -221,12 +259,13 @@ Result<ServeTexts> ReadServeFile(const std::string& path) {
     for (const auto& [key, node] : table) {
       const std::string name(key.str());
       const std::string where = path + ", line " + std::to_string(node.source().begin.line) + ": ";
-      if (std::ranges::find(ServeOptions(), name, &ServeOption::name) == ServeOptions().end()) {
+      const auto option = std::ranges::find(ServeOptions(), name, &ServeOption::name);
+      if (option == ServeOptions().end()) {
         const std::string meant = NearestName(name, Names());
         return Invalid(where + "unknown option '" + name + "'" +
                        (meant.empty() ? "" : "; did you mean '" + meant + "'?"));
       }
-      texts[name] = TextOf(node);
+      texts[name] = TextOf(node, option->repeated);
       if (texts[name].empty()) return Invalid(where + name + ": expected a text, number or truth");
     }
   } catch (const toml::parse_error& error) {
@@ -244,6 +283,8 @@ Result<ServeCommand> CheckServe(const ServeTexts& texts) {
   command.grpc = read.Address("grpc");
   command.tls = {read.Text("tls-certificate"), read.Text("tls-key"), read.Text("tls-client-ca")};
   command.keys = read.Text("keys");
+  command.allowed_hosts =
+      read.Each("allowed-host", IsHostName, "a host's name or address, without a port");
   command.http_limits = HttpLimitsOf(read);
   command.limits = ServiceLimitsOf(read);
   command.store = StoreOptionsOf(read, command.limits);
@@ -268,14 +309,7 @@ Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::str
          "These options as TOML, `name = value`; the command line goes\nbefore it. Default "
          "strata.toml if there is one.")
       ->option_text("FILE");
-  for (const ServeOption& option : ServeOptions()) {
-    app.add_option_function<std::string>(
-           std::string("--") + option.name,
-           [&given, name = option.name](const std::string& text) { given[name] = text; },
-           HelpOf(option))
-        ->option_text(option.value)
-        ->group(option.group);
-  }
+  for (const ServeOption& option : ServeOptions()) AddOption(app, option, given);
   std::vector<std::string> words = WithValues(arguments);
   std::ranges::reverse(words);  // CLI11 takes its vector back to front.
   try {

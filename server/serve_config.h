@@ -6,6 +6,7 @@
 #include <span>
 #include <string>
 #include <variant>
+#include <vector>
 
 #include "core/result.h"
 #include "server/command_line.h"
@@ -29,6 +30,7 @@ struct ServeCommand {
   std::optional<Listen> http, grpc;  ///< Absent: off. At least one is there.
   TlsFiles tls;
   std::string keys;  ///< File; empty: none.
+  std::vector<std::string> allowed_hosts;
   HttpLimits http_limits;
   ServiceLimits limits;
   std::optional<std::string> scratch;
@@ -43,7 +45,8 @@ struct ServeCommand {
 /// Errors: kInvalidArgument, naming option or file and line; kNotFound.
 Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments);
 
-/// The texts of a TOML file: `name = value`, no tables. Errors: kInvalidArgument, kNotFound.
+/// The texts of a TOML file: `name = value`, no tables; lists where an option may be repeated.
+/// Errors: kInvalidArgument, kNotFound.
 Result<ServeTexts> ReadServeFile(const std::string& path);
 
 /// The checked configuration. Errors: kInvalidArgument.

@@ -13,7 +13,7 @@ constexpr const char* kJob = "Jobs";
 constexpr const char* kStore = "What it keeps";
 constexpr const char* kRun = "How it runs";
 
-constexpr std::array<ServeOption, 34> kOptions = {{
+constexpr std::array<ServeOption, 35> kOptions = {{
     {"http", "ADDR:PORT", kWhere, "HTTP; port 0 takes any free one; off = no HTTP.",
      "127.0.0.1:8080"},
     {"grpc", "ADDR:PORT", kWhere, "gRPC; likewise.", "127.0.0.1:8081"},
@@ -28,6 +28,10 @@ constexpr std::array<ServeOption, 34> kOptions = {{
      "API keys, as `strata key` prints them. Without keys everybody who\n"
      "reaches the service may use it.",
      ""},
+    {"allowed-host", "NAME", kWho,
+     "Without keys: a name, besides loopback's and its address, by which\n"
+     "requests may call the service (Host) over HTTP. May be repeated.",
+     "", nullptr, true},
     {"insecure", "on|off", kWho, "Listen beyond loopback although no keys are configured.", "off"},
     {"body-size", "SIZE", kRequest, "Largest body.", "4G"},
     {"header-size", "SIZE", kRequest, "Largest header (gRPC: metadata). 1K to 1M.", "16K"},

@@ -17,6 +17,9 @@ struct ServeOption {
   const char* standard;  ///< The default's text, as an option would say it; "" = none.
   /// What the help says in place of `standard` where the default depends on the machine; or null.
   const char* computed = nullptr;
+  /// May be given several times, in strata.toml as a list; its text is then the values with ","
+  /// between them.
+  bool repeated = false;
 };
 
 /// In the order of the help. The rows live as long as the program.

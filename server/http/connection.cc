@@ -125,6 +125,10 @@ class Connection {
     auto target = ParseTarget({text.data(), text.size()});
     if (!target) return RefuseHeader(exchange, target.error());
     exchange.SetTarget(*std::move(target));
+    if (const auto from_here = shared_.guard.Check(exchange); !from_here) {
+      exchange.RespondProblem(from_here.error());
+      return {};
+    }
     return Dispatch(shared_.service, exchange);
   }
 

@@ -3,6 +3,7 @@
 
 #include <memory>
 
+#include "server/http/browser_guard.h"
 #include "server/http/exchange.h"
 #include "server/http/transport.h"
 #include "server/service/service.h"
@@ -14,6 +15,7 @@ struct HttpShared {
   Service& service;
   const HttpLimits limits;
   int stop = -1;  ///< An eventfd: readable when no further request is to be read.
+  const BrowserGuard guard = {};
 };
 
 /// Serves `transport` until the peer goes, an error, a limit or `stop`. Blocks.

@@ -82,7 +82,7 @@ struct HttpServer::State {
   State(Options chosen, Service& service, int listening, int stop_event)
       : options(std::move(chosen)),
         listener(listening),
-        shared{service, options.limits, stop_event} {}
+        shared{service, options.limits, stop_event, options.guard} {}
   ~State() { close(shared.stop); }
 
   void Accept() {

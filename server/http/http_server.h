@@ -18,6 +18,7 @@ class HttpServer {
     std::string address;     ///< An IPv4 or IPv6 address.
     std::uint16_t port = 0;  ///< 0: any free one.
     HttpLimits limits;
+    BrowserGuard guard;
     std::unique_ptr<TlsContext> tls;  ///< Null: plain.
   };
 

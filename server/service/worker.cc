@@ -39,7 +39,6 @@ constexpr bool kShadowMemory = false;
 #endif
 
 constexpr std::chrono::milliseconds kReportEvery{100};
-constexpr int kNiceness = 5;  // The server's answers go before a job's work.
 
 void Send(const internal::WorkerEvent& event) {
   std::string bytes;
@@ -117,7 +116,6 @@ void LimitSelf(const internal::WorkerJob& job) {
   Limit(RLIMIT_CORE, 0);
   Limit(RLIMIT_CPU, std::uint64_t{job.seconds()} * (job.threads() + 1) + 1);
   LimitMemory(job);
-  static_cast<void>(setpriority(PRIO_PROCESS, 0, kNiceness));
 }
 
 Result<v1::SampleSummary> RunGuarded(const internal::WorkerJob& job) {

@@ -8,7 +8,7 @@ namespace strata::server {
 inline constexpr int kWorkerMesh = 3, kWorkerResult = 4;
 
 /// Runs the one job that standard input holds and reports it. Closes every other descriptor first,
-/// lowers its own priority and sets limits: memory (as far as it is its own: RLIMIT_DATA),
+/// and sets its limits: memory (as far as it is its own: RLIMIT_DATA),
 /// processor time, no core file. Returns the exit status: 0 when the outcome, good or bad, was
 /// reported.
 int RunWorker();

@@ -18,5 +18,11 @@ export default defineConfig({
     rolldownOptions: {output: names},
   },
   worker: {format: 'es', rolldownOptions: {output: names}},
-  server: {proxy: {'/v1': 'http://127.0.0.1:8080', '/openapi.json': 'http://127.0.0.1:8080'}},
+  server: {
+    // As an object: Host stays the page's own, which the service compares with Origin.
+    proxy: {
+      '/v1': {target: 'http://127.0.0.1:8080'},
+      '/openapi.json': {target: 'http://127.0.0.1:8080'},
+    },
+  },
 });

@@ -83,12 +83,17 @@ std::vector<std::string> PolygonSeeds() {
 }
 
 std::vector<std::string> HttpSeeds() {
-  return {"GET /livez HTTP/1.1\r\nHost: x\r\n\r\nGET /nowhere?a=%20 HTTP/1.1\r\nHost: x\r\n\r\n",
-          "POST /v1/samples?resolution=5&min-distance=0.5 HTTP/1.1\r\nContent-Length: 4\r\n"
-          "Accept: text/plain;q=0.5, model/*\r\nExpect: 100-continue\r\n\r\nv 0 ",
-          "POST /v1/samples?lambda=x HTTP/1.0\r\nTransfer-Encoding: chunked\r\n\r\n2\r\nab\r\n"
-          "0\r\n\r\n",
-          "GET /v1/jobs/x?wait=1 HTTP/1.1\r\nX-Request-Id: a\r\nRange: bytes=1-2\r\n\r\n"};
+  return {
+      "GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\nGET /nowhere?a=%20 HTTP/1.1\r\nHost: "
+      "localhost\r\n\r\n",
+      "POST /v1/samples?resolution=5&min-distance=0.5 HTTP/1.1\r\nHost: "
+      "localhost\r\nContent-Length: 4\r\n"
+      "Accept: text/plain;q=0.5, model/*\r\nExpect: 100-continue\r\n\r\nv 0 ",
+      "POST /v1/samples?lambda=x HTTP/1.0\r\nHost: localhost\r\nTransfer-Encoding: "
+      "chunked\r\n\r\n2\r\nab\r\n"
+      "0\r\n\r\n",
+      "GET /v1/jobs/x?wait=1 HTTP/1.1\r\nHost: localhost\r\nX-Request-Id: a\r\nRange: "
+      "bytes=1-2\r\n\r\n"};
 }
 
 // Fields of SampleOptions: resolution; lambda and seed; texts; height and strict.

@@ -96,7 +96,7 @@ def load(service, options, mesh, clients):
 def upload(service, total):
     before, peak, piece = service.resident(), 0, b'# ' + b'x' * 1048573 + b'\n'
     with socket.create_connection(('127.0.0.1', service.port)) as client:
-        client.sendall(b'PUT /v1/models/large HTTP/1.1\r\nHost: x\r\nConnection: close\r\n'
+        client.sendall(b'PUT /v1/models/large HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n'
                        b'Content-Length: %d\r\n\r\n' % (total // len(piece) * len(piece)))
         start = time.perf_counter()
         for i in range(total // len(piece)):
@@ -113,7 +113,7 @@ def slow_clients(service, mesh):
     clients = []
     for _ in range(200):
         client = socket.create_connection(('127.0.0.1', service.port))
-        client.sendall(b'POST /v1/samples HTTP/1.1\r\nHost: x\r\nContent-Length: 999\r\n\r\n')
+        client.sendall(b'POST /v1/samples HTTP/1.1\r\nHost: localhost\r\nContent-Length: 999\r\n\r\n')
         clients.append(client)
     times = []
     for _ in range(5):

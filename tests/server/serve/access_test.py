@@ -8,7 +8,7 @@ import unittest
 import grpc
 
 import harness
-from harness import CUBE, Server, ServerCase, strata
+from harness import CUBE, Answer, Server, ServerCase, strata
 
 SAMPLE = '/strata.v1.Sampling/Sample'
 
@@ -90,6 +90,88 @@ class Keys(unittest.TestCase):
             self.assertNotIn(key.removeprefix('strata_'), self.lines)
 
 
+def ask_raw(server, host, method='GET', path='/livez', headers=(), body=b''):
+    """One request as a browser would send it: `host` is the header's value, None for no header."""
+    lines = [f'{method} {path} HTTP/1.1', *([f'Host: {host}'] if host is not None else []),
+             *headers, f'Content-Length: {len(body)}', 'Connection: close', '', '']
+    return Answer.parse(server.exchange('\r\n'.join(lines).encode() + body))
+
+
+class OtherSites(ServerCase):
+    """A service without keys, and what a browser sends it for the pages of strangers."""
+    options = ('--allowed-host', 'Meshes.example', '--allowed-host', '192.0.2.7')
+
+    def sample(self, host, *headers):
+        return ask_raw(self.server, host, 'POST', '/v1/samples?resolution=3&format=ply', headers,
+                       CUBE)
+
+    def test_loopbacks_names_and_the_allowed_ones_are_answered_with_any_port(self):
+        for name in ('localhost', 'LocalHost.', '127.0.0.1', '127.9.8.7', '[::1]',
+                     '[0:0:0:0:0:0:0:1]', 'meshes.example', 'MESHES.example.', '192.0.2.7'):
+            for port in ('', ':', ':80', f':{self.server.http_port}'):
+                with self.subTest(host=name + port):
+                    self.assertEqual(ask_raw(self.server, name + port).status, 200)
+
+    def test_a_name_that_somebody_points_here_gets_nothing(self):
+        for host in ('evil.example', f'evil.example:{self.server.http_port}',
+                     '127.0.0.1.evil.example', 'localhost.evil.example', 'evil.localhost',
+                     'evil.example:localhost',
+                     'evil.example@localhost', 'localhost@evil.example', '192.0.2.8', '[::2]',
+                     '0.0.0.0', '10.0.0.1', '127.1', 'x.meshes.example', '', None):
+            with self.subTest(host=host):
+                for method, path in (('GET', '/'), ('GET', '/livez'), ('GET', '/metrics'),
+                                     ('GET', '/nowhere'), ('POST', '/v1/samples?resolution=3')):
+                    answer = ask_raw(self.server, host, method, path)
+                    self.assertProblem(answer, 421, 'misdirected-request', '--allowed-host')
+
+    def test_a_page_of_another_site_changes_nothing(self):
+        port = self.server.http_port
+        for headers in (['Origin: http://evil.example'], ['Origin: null'],
+                        [f'Origin: http://localhost:{port + 1}'], ['Origin: http://localhost'],
+                        [f'Origin: localhost:{port}'], ['Sec-Fetch-Site: cross-site'],
+                        [f'Origin: http://localhost:{port}', 'Sec-Fetch-Site: Cross-Site'],
+                        [f'Origin: http://127.0.0.1:{port}']):
+            with self.subTest(headers=headers):
+                host = f'localhost:{port}'
+                self.assertProblem(self.sample(host, *headers), 403, 'cross-site')
+                for method, path in (('DELETE', '/v1/models/x'), ('PUT', '/v1/models/x'),
+                                     ('PATCH', '/v1/uploads/x'), ('POST', '/v1/jobs')):
+                    self.assertProblem(ask_raw(self.server, host, method, path, headers), 403,
+                                       'cross-site')
+
+    def test_its_own_pages_links_from_elsewhere_and_programs_are_served(self):
+        host = f'localhost:{self.server.http_port}'
+        for headers in ([], [f'Origin: http://{host}'],
+                        [f'Origin: http://{host.upper()}', 'Sec-Fetch-Site: same-origin'],
+                        ['Sec-Fetch-Site: none']):
+            answer = self.sample(host, *headers)
+            self.assertEqual((answer.status, answer.body[:4]), (200, b'ply\n'), answer.body[:300])
+        proxied = self.sample('meshes.example', 'Origin: https://meshes.example')
+        self.assertEqual(proxied.status, 200)
+        link = ['Sec-Fetch-Site: cross-site', 'Sec-Fetch-Mode: navigate']
+        self.assertEqual(ask_raw(self.server, host, path='/', headers=link).status, 200)
+
+    def test_the_address_that_it_listens_on_is_a_name_of_its_own(self):
+        server = Server('--http', '0.0.0.0:0', '--insecure')
+        self.addCleanup(server.stop)
+        for host in ('localhost', '192.0.2.8:81', '[2001:db8::1]'):
+            self.assertEqual(ask_raw(server, host).status, 200)
+        self.assertProblem(ask_raw(server, 'evil.example'), 421, 'misdirected-request')
+
+    def test_with_keys_the_key_decides(self):
+        with tempfile.TemporaryDirectory() as folder:
+            keys = pathlib.Path(folder) / 'keys'
+            key, line = make_key('team')
+            keys.write_text(line)
+            server = Server('--keys', str(keys))
+            self.addCleanup(server.stop)
+        headers = [f'Authorization: Bearer {key}', 'Origin: http://elsewhere.example']
+        path = '/v1/samples?resolution=3'
+        self.assertEqual(ask_raw(server, 'any.example', 'POST', path, headers, CUBE).status, 200)
+        self.assertProblem(ask_raw(server, 'any.example', 'POST', path, headers[1:], CUBE), 401,
+                           'unauthenticated')
+
+
 class Tls(unittest.TestCase):
 
     @classmethod
@@ -153,7 +235,7 @@ class Tls(unittest.TestCase):
         self.assertEqual(status, 0)
         self.assertTrue(body.startswith(b'ply\n'))
         self.assertEqual(self.rpc_code(server), grpc.StatusCode.INVALID_ARGUMENT)
-        plain = server.exchange(b'GET /livez HTTP/1.1\r\nHost: x\r\n\r\n')
+        plain = server.exchange(b'GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n')
         self.assertFalse(plain.startswith(b'HTTP'), plain)
         self.assertEqual(self.curl(server, '--tls-max', '1.1')[0], 35)
 
@@ -199,6 +281,8 @@ class Configuration(unittest.TestCase):
                 ("--isolate: found 'maybe', expected on or off", ['--isolate', 'maybe']),
                 ('--job-memory is more than --memory', ['--memory', '64M', '--job-memory', '1G']),
                 ('give both or none', ['--tls-key', 'x']),
+                ("--allowed-host: found 'http://x', expected a host's name",
+                 ['--allowed-host', 'y', '--allowed-host', 'http://x']),
                 ('--nonsense', ['--nonsense', '1'])]:
             self.assertRefused(words, *options)
 
@@ -221,6 +305,15 @@ class Configuration(unittest.TestCase):
         many = [word for i in range(9) for word in ('-H', f'A{i}: b')]
         self.assertEqual(server.curl('/livez', *many).status, 431)
 
+    def test_allowed_hosts_stand_in_the_file_as_a_name_or_a_list(self):
+        for text, names in (('"a.example"', ['a.example']),
+                            ('["a.example", "b"]', ['a.example', 'b'])):
+            server = Server(config=f'allowed-host = {text}\n')
+            self.addCleanup(server.stop)
+            for name in names:
+                self.assertEqual(ask_raw(server, name).status, 200)
+            self.assertEqual(ask_raw(server, 'c').status, 421)
+
     def test_a_port_in_use_is_said(self):
         server = Server()
         self.addCleanup(server.stop)
@@ -232,14 +325,33 @@ class Configuration(unittest.TestCase):
     def test_every_option_stands_in_the_help_and_the_manual_with_its_default(self):
         shown = subprocess.run([strata(), 'serve', '--help'], capture_output=True, text=True)
         self.assertEqual(shown.returncode, 0)
-        manual = (pathlib.Path(harness.ARGUMENTS['source']) / 'docs/http.md').read_text()
-        table = (pathlib.Path(harness.ARGUMENTS['source']) /
-                 'server/serve_option_table.cc').read_text()
+        source = pathlib.Path(harness.ARGUMENTS['source'])
+        table = (source / 'server/serve_option_table.cc').read_text()
         names = harness.re.findall(r'\{"([a-z-]+)", "[^"]+", k[A-Z]', table)
         self.assertGreater(len(names), 25)
-        for name in names:
-            self.assertIn(f'--{name} ', shown.stdout)
-            self.assertIn(f'| `{name}` |', manual)
+        helped = harness.re.findall(r'^  --([a-z-]+) .*\n(?: {20}.*\n)*? +Default (.+)\.$',
+                                    shown.stdout, harness.re.M)
+        self.assertEqual([name for name, _ in helped], names)
+        manual = (source / 'docs/http.md').read_text()
+        rows = harness.re.findall(r'^\| `([a-z-]+)` \| .+ \| (.+) \|$', manual, harness.re.M)
+        written = {name: default.strip('`') for name, default in rows}
+        for name, default in helped:
+            self.assertEqual((name, written.get(name)), (name, default))
+
+    def test_the_default_limits_of_headers_and_bodies_are_in_force(self):
+        self.assertRefused('--insecure', '--http', '0.0.0.0:0')  # insecure: off.
+        server = Server()
+        self.addCleanup(server.stop)
+        many = [word for i in range(64) for word in ('-H', f'A{i}: b')]
+        self.assertEqual(server.curl('/livez', *many).status, 431)  # header-fields: 64.
+        self.assertEqual(server.curl('/livez', *many[:120]).status, 200)
+        large = ['-H', 'A: ' + 'x' * (16 << 10)]
+        self.assertEqual(server.curl('/livez', *large).status, 431)  # header-size: 16K.
+        length = ['Content-Length: 4294967297', 'Expect: 100-continue']  # body-size: 4G.
+        answer = Answer.parse(server.exchange(
+            '\r\n'.join(['POST /v1/samples?resolution=3 HTTP/1.1', 'Host: localhost', *length, '',
+                         '']).encode()))
+        self.assertEqual(answer.status, 413)
 
 
 if __name__ == '__main__':

@@ -40,10 +40,11 @@ class Server:
         (self.path / 'strata.toml').write_text(config)
         listen = [] if any(o.startswith('--http') for o in options) else ['--http', '127.0.0.1:0']
         listen += [] if any(o.startswith('--grpc') for o in options) else ['--grpc', '127.0.0.1:0']
+        if '--scratch' not in options:
+            listen += ['--scratch', str(self.path / 'scratch')]
         self.log = []
         self.process = subprocess.Popen(
-            [strata(), 'serve', *listen, '--log-format', 'json', '--scratch',
-             str(self.path / 'scratch'), *options],
+            [strata(), 'serve', *listen, '--log-format', 'json', *options],
             stderr=subprocess.PIPE, text=True, cwd=self.path,
             env={**os.environ, **(environment or {})})
         self.reader = threading.Thread(target=self._read, daemon=True)
@@ -198,7 +199,7 @@ LONG = '/v1/samples?resolution=3000&format=xyz'
 
 def long_request():
     """LONG as raw bytes."""
-    return (b'POST %s HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n' %
+    return (b'POST %s HTTP/1.1\r\nHost: localhost\r\nContent-Length: %d\r\n\r\n' %
             (LONG.encode(), len(CUBE)) + CUBE)
 
 

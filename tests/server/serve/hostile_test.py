@@ -10,7 +10,7 @@ import threading
 import harness
 from harness import CUBE, Answer, ServerCase, read_to_end
 
-HOST = b'Host: x\r\n'
+HOST = b'Host: localhost\r\n'
 
 
 def post(length, extra=b''):

@@ -176,16 +176,16 @@ class Operations(ServerCase):
         self.assertEqual(options, harness.sample_option_names())
 
     def test_head_answers_without_a_body(self):
-        answer = self.server.exchange(b'HEAD /livez HTTP/1.1\r\nHost: x\r\n'
+        answer = self.server.exchange(b'HEAD /livez HTTP/1.1\r\nHost: localhost\r\n'
                                       b'Connection: close\r\n\r\n')
         self.assertTrue(answer.startswith(b'HTTP/1.1 200'))
         self.assertTrue(answer.endswith(b'\r\n\r\n'))
         self.assertIn(b'Content-Length: 3', answer)
 
     def test_several_requests_share_a_connection(self):
-        raw = self.server.exchange(b'GET /livez HTTP/1.1\r\nHost: x\r\n\r\n'
-                                   b'GET /readyz HTTP/1.1\r\nHost: x\r\n\r\n'
-                                   b'GET /livez HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n')
+        raw = self.server.exchange(b'GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n'
+                                   b'GET /readyz HTTP/1.1\r\nHost: localhost\r\n\r\n'
+                                   b'GET /livez HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n')
         self.assertEqual(len(re.findall(b'HTTP/1.1 200 OK', raw)), 3)
 
 

@@ -18,7 +18,7 @@ class SlowClients(ServerCase):
         for i in range(200):
             client = self.server.connect()
             self.addCleanup(client.close)
-            client.sendall(b'POST /v1/samples HTTP/1.1\r\nHost: x\r\n')
+            client.sendall(b'POST /v1/samples HTTP/1.1\r\nHost: localhost\r\n')
             if i % 2:
                 client.sendall(b'Content-Length: 1000\r\n\r\nv')
             clients.append(client)
@@ -33,7 +33,7 @@ class SlowClients(ServerCase):
     def test_a_slow_reader_is_cut_off(self):
         with self.server.connect() as client:
             client.setsockopt(harness.socket.SOL_SOCKET, harness.socket.SO_RCVBUF, 4096)
-            client.sendall(b'POST /v1/samples?resolution=700&format=xyz HTTP/1.1\r\nHost: x\r\n'
+            client.sendall(b'POST /v1/samples?resolution=700&format=xyz HTTP/1.1\r\nHost: localhost\r\n'
                            b'X-Request-Id: reader\r\n'
                            b'Content-Length: %d\r\n\r\n' % len(CUBE) + CUBE)
             line = self.server.request_line('reader')  # It ends although nothing is read.
@@ -78,16 +78,16 @@ class Busy(unittest.TestCase):
         server = self.serve('--connections', '3')
         clients = [server.connect() for _ in range(3)]
         for client in clients:
-            client.sendall(b'GET /livez HTTP/1.1\r\nHost: x\r\n\r\n')
+            client.sendall(b'GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n')
             client.recv(4096)
-        answer = Answer.parse(server.exchange(b'GET /livez HTTP/1.1\r\nHost: x\r\n\r\n'))
+        answer = Answer.parse(server.exchange(b'GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n'))
         self.assertEqual(answer.status, 503)
         self.assertEqual(answer.headers['retry-after'], '1')
         self.assertEqual(answer.json()['type'], '/problems/unavailable')
         for client in clients:
             client.close()
         harness.wait_until(lambda: server.exchange(
-            b'GET /livez HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n').startswith(
+            b'GET /livez HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n').startswith(
                 b'HTTP/1.1 200'), 'a place')
 
     def test_sixty_four_requests_at_once_are_all_answered(self):
@@ -133,7 +133,7 @@ class Busy(unittest.TestCase):
         before, peak = server.resident_bytes(), 0
         piece = b'# ' + b'x' * 65533 + b'\n'
         with server.connect() as client:
-            client.sendall(b'POST /v1/samples?resolution=3 HTTP/1.1\r\nHost: x\r\n'
+            client.sendall(b'POST /v1/samples?resolution=3 HTTP/1.1\r\nHost: localhost\r\n'
                            b'Connection: close\r\nContent-Length: %d\r\n\r\n' %
                            (len(CUBE) + 3000 * len(piece)) + CUBE)
             for _ in range(3000):  # 197 MB
