@@ -30,6 +30,9 @@ add_library(strata::strata ALIAS strata_both)
 install(TARGETS strata_core strata_io strata_both strata_compile EXPORT strataTargets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
 install(TARGETS strata RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+if(STRATA_SERVICE)
+  install(TARGETS strata_serve_program RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+endif()
 
 set(strata_package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/strata)
 install(EXPORT strataTargets NAMESPACE strata:: DESTINATION ${strata_package_folder})

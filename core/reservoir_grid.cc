@@ -25,11 +25,11 @@ constexpr std::size_t kShards = 32;
 constexpr std::uint32_t kNoSlot = 0xffffffff;
 
 // Leaves of 8^3 cells below nodes of 32^3; values are slot numbers, 4 bytes each (an OpenVDB value
-// above 8 bytes makes nodes of megabytes). A shard has every 32nd block of a neighbourhood, so nodes
-// of the usual 128^3, 34 KB each, would be empty pointers but for a few. The root is a sorted map,
-// so far-apart parts cost nothing. The root node itself, not openvdb::Tree around it: Tree's virtual functions for files
-// would pull in the shared library, whose relocations take longer than sampling a small mesh
-// (docs/adr/0005).
+// above 8 bytes makes nodes of megabytes). A shard has every 32nd block of a neighbourhood, so
+// nodes of the usual 128^3, 34 KB each, would be empty pointers but for a few. The root is a sorted
+// map, so far-apart parts cost nothing. The root node itself, not openvdb::Tree around it: Tree's
+// virtual functions for files would pull in the shared library, whose relocations take longer than
+// sampling a small mesh (docs/adr/0005).
 struct Slot {  // A type of our own, so that no instantiation is shared with the library's.
   std::uint32_t number = kNoSlot;
   Slot() = default;

@@ -1,46 +1,23 @@
 // The command `strata`.
-#include <fcntl.h>
+#include <unistd.h>
 
+#include <cerrno>
 #include <cstdio>
-#include <exception>
-#include <new>
-#include <optional>
-#include <span>
+#include <filesystem>
 #include <string>
+#include <system_error>
 #include <variant>
 #include <vector>
 
 #include "server/command_line.h"
-#include "server/exit_codes.h"
 #include "server/info_command.h"
 #include "server/interrupt.h"
 #include "server/memory.h"
+#include "server/program.h"
 #include "server/sample_command.h"
-#ifdef STRATA_SERVICE
-#include "server/serve_command.h"
-#include "server/service/job_process.h"
-#include "server/service/worker.h"
-#endif
 
 namespace strata::server {
 namespace {
-
-/// Gives a standard stream that was closed at the start a descriptor that every use fails on. Left
-/// closed, its number would go to the next file that is opened: bytes meant for standard output
-/// would end up there, and standard input would be read from it.
-void OccupyStandardStreams() {
-  for (const int stream : {0, 1, 2}) {
-    if (fcntl(stream, F_GETFD) >= 0) continue;
-    // Those below are open, so that this takes the number itself.
-    if (open("/dev/null", stream == 0 ? O_WRONLY : O_RDONLY) < 0) return;
-  }
-}
-
-int Report(const Error& error, int signal) {
-  std::fprintf(stderr, "strata: %s\n", error.message.c_str());
-  if (error.code == ErrorCode::kCancelled && signal != 0) return 128 + signal;
-  return ExitCodeOf(error.code).exit_status;
-}
 
 template <class Work>
 int RunGuarded(std::uint64_t memory, Work work) {
@@ -77,42 +54,28 @@ struct Runner {
   }
 };
 
-#ifdef STRATA_SERVICE
-/// The commands of the service, which have a grammar of their own. Nothing: it is none of them.
-std::optional<int> RunServiceCommand(const std::vector<std::string>& arguments) {
-  if (arguments.empty()) return std::nullopt;
-  const std::span rest = std::span(arguments).subspan(1);
-  if (arguments[0] == kWorkerCommand && rest.empty()) return RunWorker();
-  Result<void> outcome;
-  if (arguments[0] == "serve") {
-    outcome = RunServe(rest);
-  } else if (arguments[0] == "key") {
-    outcome = RunKey(rest);
-  } else {
-    return std::nullopt;
-  }
-  return outcome ? 0 : Report(outcome.error(), 0);
+/// The service is a program of its own beside this one: its libraries take longer to load than a
+/// small mesh takes to be sampled. Returns only if it cannot be started.
+int BecomeService(char** argv) {
+  std::error_code failed;
+  const auto self = std::filesystem::read_symlink("/proc/self/exe", failed);
+  const std::string program = (self.parent_path() / "strata-serve").string();
+  execv(program.c_str(), argv);
+  const std::string reason = std::generic_category().message(errno);
+  return Report({ErrorCode::kNotFound, program + ": cannot start the service: " + reason}, 0);
 }
-#endif
 
-int Main(const std::vector<std::string>& arguments) {
-  try {
-#ifdef STRATA_SERVICE
-    if (const auto status = RunServiceCommand(arguments)) return *status;
-#endif
-    const auto command = ParseCommandLine(arguments);
-    return command ? std::visit(Runner{}, *command) : Report(command.error(), 0);
-  } catch (const std::bad_alloc&) {
-    return Report({ErrorCode::kOverBudget, "out of memory"}, 0);
-  } catch (const std::exception& error) {
-    return Report({ErrorCode::kInternal, std::string("unexpected: ") + error.what()}, 0);
-  }
+int Main(const std::vector<std::string>& arguments, char** argv) {
+  if (!arguments.empty() && IsServiceCommand(arguments[0])) return BecomeService(argv);
+  const auto command = ParseCommandLine(arguments);
+  return command ? std::visit(Runner{}, *command) : Report(command.error(), 0);
 }
 
 }  // namespace
 }  // namespace strata::server
 
 int main(int argc, char** argv) {
-  strata::server::OccupyStandardStreams();
-  return strata::server::Main({argv + (argc > 0 ? 1 : 0), argv + argc});
+  return strata::server::RunProgram(argc, argv, [&](const std::vector<std::string>& arguments) {
+    return strata::server::Main(arguments, argv);
+  });
 }

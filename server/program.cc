@@ -1,0 +1,47 @@
+#include "server/program.h"
+
+#include <fcntl.h>
+
+#include <cstdio>
+#include <exception>
+#include <new>
+
+#include "server/exit_codes.h"
+
+namespace strata::server {
+namespace {
+
+/// Gives a standard stream that was closed at the start a descriptor that every use fails on. Left
+/// closed, its number would go to the next file that is opened: bytes meant for standard output
+/// would end up there, and standard input would be read from it.
+void OccupyStandardStreams() {
+  for (const int stream : {0, 1, 2}) {
+    if (fcntl(stream, F_GETFD) >= 0) continue;
+    // Those below are open, so that this takes the number itself.
+    if (open("/dev/null", stream == 0 ? O_WRONLY : O_RDONLY) < 0) return;
+  }
+}
+
+}  // namespace
+
+bool IsServiceCommand(std::string_view name) { return name == "serve" || name == "key"; }
+
+int Report(const Error& error, int signal) {
+  std::fprintf(stderr, "strata: %s\n", error.message.c_str());
+  if (error.code == ErrorCode::kCancelled && signal != 0) return 128 + signal;
+  return ExitCodeOf(error.code).exit_status;
+}
+
+int RunProgram(int argc, char** argv,
+               const std::function<int(const std::vector<std::string>&)>& work) {
+  OccupyStandardStreams();
+  try {
+    return work({argv + (argc > 0 ? 1 : 0), argv + argc});
+  } catch (const std::bad_alloc&) {
+    return Report({ErrorCode::kOverBudget, "out of memory"}, 0);
+  } catch (const std::exception& error) {
+    return Report({ErrorCode::kInternal, std::string("unexpected: ") + error.what()}, 0);
+  }
+}
+
+}  // namespace strata::server

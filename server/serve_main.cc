@@ -1,0 +1,29 @@
+// The program behind `strata serve` and `strata key`, and its own workers.
+#include <span>
+#include <string>
+#include <vector>
+
+#include "server/program.h"
+#include "server/serve_command.h"
+#include "server/service/job_process.h"
+#include "server/service/worker.h"
+
+namespace strata::server {
+namespace {
+
+int Main(const std::vector<std::string>& arguments) {
+  if (arguments.size() == 1 && arguments[0] == kWorkerCommand) return RunWorker();
+  if (arguments.empty() || !IsServiceCommand(arguments[0])) {
+    return Report({ErrorCode::kInvalidArgument, "strata-serve is started by `strata serve`"}, 0);
+  }
+  const std::span rest = std::span(arguments).subspan(1);
+  const Result<void> outcome = arguments[0] == "serve" ? RunServe(rest) : RunKey(rest);
+  return outcome ? 0 : Report(outcome.error(), 0);
+}
+
+}  // namespace
+}  // namespace strata::server
+
+int main(int argc, char** argv) {
+  return strata::server::RunProgram(argc, argv, strata::server::Main);
+}
