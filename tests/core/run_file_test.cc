@@ -10,7 +10,7 @@
 
 #include "core/block_merge.h"
 #include "tests/support/memory_mesh.h"
-#include "tests/support/temp_folder.h"
+#include "tests/support/scratch_test.h"
 
 namespace strata::test {
 namespace {
@@ -85,28 +85,13 @@ Result<Blocks> Read(BlockStream& stream) {
   }
 }
 
-class RunFile : public testing::Test {
+class RunFile : public ScratchTest {
  protected:
-  void SetUp() override {
-    auto opened = ScratchFolder::Open(folder_.path());
-    ASSERT_TRUE(opened) << opened.error().message;
-    scratch_ = std::move(*opened);
-    file_ = NewFile();
-  }
-  std::unique_ptr<ScratchFile> NewFile() {
-    auto file = scratch_->NewFile();
-    EXPECT_TRUE(file);
-    return std::move(*file);
-  }
   std::string Bytes(const ScratchFile& file) {
     std::string bytes(file.size(), 0);
     EXPECT_TRUE(file.ReadAt(0, bytes));
     return bytes;
   }
-
-  TempFolder folder_;
-  std::unique_ptr<ScratchFolder> scratch_;
-  std::unique_ptr<ScratchFile> file_;
 };
 
 TEST_F(RunFile, GivesBackEveryBlock) {

@@ -6,24 +6,13 @@
 #include "core/run_frame.h"
 #include "tests/support/block_samples.h"
 #include "tests/support/memory_mesh.h"
-#include "tests/support/temp_folder.h"
+#include "tests/support/scratch_test.h"
 
 namespace strata::test {
 namespace {
 
-class RunIndexes : public testing::Test {
+class RunIndexes : public ScratchTest {
  protected:
-  void SetUp() override {
-    auto opened = ScratchFolder::Open(folder_.path());
-    ASSERT_TRUE(opened) << opened.error().message;
-    scratch_ = std::move(*opened);
-    file_ = NewFile();
-  }
-  std::unique_ptr<ScratchFile> NewFile() {
-    auto file = scratch_->NewFile();
-    EXPECT_TRUE(file);
-    return std::move(*file);
-  }
   RunExtent Write(ScratchFile& file, const std::vector<BlockReservoirs>& blocks) {
     VectorStream stream(blocks);
     RunWriter writer([&](std::string_view bytes) { return file.Append(bytes); }, file.size(),
@@ -44,10 +33,6 @@ class RunIndexes : public testing::Test {
       blocks.push_back(block);
     }
   }
-
-  TempFolder folder_;
-  std::unique_ptr<ScratchFolder> scratch_;
-  std::unique_ptr<ScratchFile> file_;
 };
 
 // A sheet, and some thousand blocks of one cell.
