@@ -277,8 +277,9 @@ class Scanner {
     FlushWorkers();
     if (auto stored = store_.status(); !stored) return Forward(stored);
     if (failure_) return tl::unexpected<Error>(*failure_);
-    if (checkpoints_.save && !checkpoints_.from.complete && !store_.in_memory()) {
-      TakeCheckpoint(true);
+    if (checkpoints_.save && !store_.in_memory()) {
+      TakeCheckpoint(
+          true);  // Even if it was complete before: the store saves it anew when runs merge.
       if (auto stored = store_.status(); !stored) return Forward(stored);
     }
     ScanTotals totals = Totals();

@@ -195,6 +195,26 @@ TEST_F(BinaryCheckpoints, OfAWrongLatticeAreGivenUpWithIt) {
   }
 }
 
+TEST_F(BinaryCheckpoints, NameTheRunsThatAMergeLeavesBeforeTheOldOnesGo) {
+  const std::string mesh = MeshIn("binary_little_endian");
+  RememberedPlace whole;
+  ASSERT_TRUE(Sample(mesh, whole));
+  int merged = 0;
+  for (const Saved& saved : whole.saved()) {
+    const auto former = UnpackCheckpoint(saved.checkpoint);
+    ASSERT_TRUE(former);
+    RememberedPlace place(saved);
+    ASSERT_TRUE(Sample(mesh, place));
+    ASSERT_FALSE(place.saved().empty());
+    const auto last = UnpackCheckpoint(place.saved().back().checkpoint);
+    ASSERT_TRUE(last);
+    EXPECT_TRUE(last->scan.complete);
+    EXPECT_EQ(last->runs.size(), 1u) << "the samples were taken from a merge that is not named";
+    merged += former->scan.complete && former->runs.size() > 1;
+  }
+  EXPECT_GE(merged, 1) << "no checkpoint was of a whole scan with runs to merge";
+}
+
 // --- Damage --------------------------------------------------------------------------------------
 
 Checkpoint SomeCheckpoint() {
