@@ -140,15 +140,16 @@ TEST_P(Checkpoints, LeadOnToFurtherOnes) {
   int deaths = 0;
   for (; deaths < 100; ++deaths) {
     RememberedPlace place(former);
-    place.FailAfter(1);
+    // A job that goes on from a whole scan saves that, and then the merge of its runs.
+    place.FailAfter(former ? 2 : 1);
     const auto result = Sample(mesh, place);
     if (result) {
       EXPECT_TRUE(SameSamples(result->samples, expected->samples));
       break;
     }
     EXPECT_EQ(result.error().message, "no more checkpoints");
-    ASSERT_EQ(place.saved().size(), 1u);
-    former = place.saved().front();
+    ASSERT_FALSE(place.saved().empty());
+    former = place.saved().back();
   }
   EXPECT_GE(deaths, 1);
   EXPECT_LT(deaths, 100);
