@@ -277,9 +277,9 @@ class Scanner {
     FlushWorkers();
     if (auto stored = store_.status(); !stored) return Forward(stored);
     if (failure_) return tl::unexpected<Error>(*failure_);
+    // Even if a former process had the whole scan: the store saves it anew when its runs merge.
     if (checkpoints_.save && !store_.in_memory()) {
-      TakeCheckpoint(
-          true);  // Even if it was complete before: the store saves it anew when runs merge.
+      TakeCheckpoint(true);
       if (auto stored = store_.status(); !stored) return Forward(stored);
     }
     ScanTotals totals = Totals();

@@ -12,26 +12,12 @@
 #include <utility>
 
 #include "io/compressed_source.h"
+#include "io/fd.h"
 
 namespace strata::io {
 namespace {
 
 std::string SystemMessage(int error) { return std::generic_category().message(error); }
-
-// Owns a file descriptor.
-class Fd {
- public:
-  explicit Fd(int fd) : fd_(fd) {}
-  ~Fd() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Fd(Fd&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  Fd& operator=(Fd&&) = delete;
-  int get() const { return fd_; }
-
- private:
-  int fd_;
-};
 
 // A regular file from `start` on, by pread: a file that shrinks while it is read gives an error
 // where a mapping would give SIGBUS. Bytes that are appended after opening are not seen.

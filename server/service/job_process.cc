@@ -18,6 +18,7 @@
 #include <string>
 #include <utility>
 
+#include "io/fd.h"
 #include "io/output_place.h"
 #include "server/service/worker.h"
 
@@ -27,42 +28,21 @@ namespace {
 using SteadyClock = std::chrono::steady_clock;
 constexpr int kTickMs = 50;
 
-/// A descriptor that is closed with it.
-class Descriptor {
- public:
-  Descriptor() = default;
-  explicit Descriptor(int fd) : fd_(fd) {}
-  Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  Descriptor& operator=(Descriptor&& other) noexcept {
-    std::swap(fd_, other.fd_);
-    return *this;
-  }
-  ~Descriptor() { Close(); }
-  void Close() {
-    if (fd_ >= 0) close(fd_);
-    fd_ = -1;
-  }
-  int get() const { return fd_; }
-
- private:
-  int fd_ = -1;
-};
-
 tl::unexpected<Error> SystemFailure(const std::string& what, int error) {
   return Fail(ErrorCode::kIo, what + ": " + io::SystemReason(error));
 }
 
 /// Above the numbers that the child gets, so that none is overwritten before it is copied.
-Descriptor OutOfTheWay(int fd) { return Descriptor(fcntl(fd, F_DUPFD_CLOEXEC, 16)); }
+io::Fd OutOfTheWay(int fd) { return io::Fd(fcntl(fd, F_DUPFD_CLOEXEC, 16)); }
 
 struct Pipe {
-  Descriptor read, write;
+  io::Fd read, write;
 };
 
 Result<Pipe> MakePipe() {
   std::array<int, 2> ends;
   if (pipe2(ends.data(), O_CLOEXEC) != 0) return SystemFailure("cannot make a pipe", errno);
-  const Descriptor low_read(ends[0]), low_write(ends[1]);
+  const io::Fd low_read(ends[0]), low_write(ends[1]);
   return Pipe{OutOfTheWay(ends[0]), OutOfTheWay(ends[1])};
 }
 
@@ -80,7 +60,7 @@ class Child {
     auto told = MakePipe(), heard = MakePipe();
     if (!told) return Forward(told);
     if (!heard) return Forward(heard);
-    const Descriptor mesh_copy = OutOfTheWay(mesh), result_copy = OutOfTheWay(result);
+    const io::Fd mesh_copy = OutOfTheWay(mesh), result_copy = OutOfTheWay(result);
     const int failed =
         Spawn({told->read.get(), heard->write.get(), mesh_copy.get(), result_copy.get()});
     if (failed != 0) return SystemFailure("cannot start a worker", failed);
@@ -158,7 +138,7 @@ class Child {
   }
 
   pid_t id_ = -1;
-  Descriptor events_;
+  io::Fd events_;
   std::string buffer_;
   bool ended_ = false;
 };

@@ -16,18 +16,6 @@
 
 namespace strata::server {
 
-Fd& Fd::operator=(Fd&& other) noexcept {
-  if (this != &other) {
-    if (fd_ >= 0) close(fd_);
-    fd_ = std::exchange(other.fd_, -1);
-  }
-  return *this;
-}
-
-Fd::~Fd() {
-  if (fd_ >= 0) close(fd_);
-}
-
 tl::unexpected<Error> FailSystem(const std::string& name, const std::string& what, int error) {
   const ErrorCode code = error == ENOENT ? ErrorCode::kNotFound : ErrorCode::kIo;
   return Fail(code, name + ": " + what + ": " + io::SystemReason(error));

@@ -6,27 +6,13 @@
 #include <span>
 #include <string>
 #include <string_view>
-#include <utility>
 
 #include "core/result.h"
+#include "io/fd.h"
 
 namespace strata::server {
 
-/// An open descriptor, closed with its owner.
-class Fd {
- public:
-  Fd() = default;
-  explicit Fd(int fd) : fd_(fd) {}
-  Fd(Fd&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  Fd& operator=(Fd&& other) noexcept;
-  ~Fd();
-
-  int get() const { return fd_; }
-  explicit operator bool() const { return fd_ >= 0; }
-
- private:
-  int fd_ = -1;
-};
+using io::Fd;
 
 /// An error with the system's reason for `error` (an errno): "NAME: WHAT: REASON". ENOENT is
 /// kNotFound, everything else kIo.
