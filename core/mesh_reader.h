@@ -12,10 +12,13 @@
 #include <string>
 #include <vector>
 
+#include "core/mesh_attributes.h"
 #include "core/result.h"
 #include "core/vec3.h"
 
 namespace strata {
+
+class RunContext;
 
 /// Why a triangle that stands in the file was not sampled. Each is counted, none is silent.
 enum class SkipReason : std::uint8_t {
@@ -192,6 +195,21 @@ class MeshReader {
   /// Goes back to the first triangle and resets counts().faces, triangles and skipped.
   virtual Result<void> Rewind() = 0;
   virtual const ReadCounts& counts() const = 0;
+
+  /// What the mesh carries besides its shape, known from opening on; empty for a format or a reader
+  /// that has nothing more to give. Names are as FixNames leaves them. Valid as long as the reader.
+  virtual std::span<const MeshAttribute> attributes() const { return {}; }
+  /// Begins to fetch the attributes with these numbers in attributes(), in a pass of its own over
+  /// the file: Read must not be called before the next Rewind, and the pass must not be used after
+  /// it or after the reader. Any share gives the attributes of the whole mesh.
+  ///
+  /// Memory: of the context's account, a part of what is left; what does not fit goes to its
+  /// scratch space or is read again. Errors: as Read's; kOverBudget, kCancelled.
+  virtual Result<std::unique_ptr<AttributePass>> ReadAttributes(std::span<const std::size_t>,
+                                                                RunContext&) {
+    return Fail(ErrorCode::kInternal, info().format + ": this reader carries no attributes");
+  }
+
   /// Bytes consumed of the input as stored (compressed size for .gz), and its size if known: for
   /// progress. With a share selected, bytes passed over count as consumed.
   virtual std::uint64_t bytes_read() const = 0;
