@@ -167,6 +167,8 @@ std::string MeshSuffix(std::string_view name) {
   return suffix == "gz" || suffix == "zst" || suffix == "zstd" ? take() : suffix;
 }
 
+bool HasMeshSuffix(std::string_view name) { return FromSuffix(name).has_value(); }
+
 Result<MeshFormat> DetectFormat(const FileFacts& file) {
   if (file.head.empty()) return Fail(ErrorCode::kCorruptInput, file.name + ": the file is empty");
   if (IsPly(file.head)) return MeshFormat::kPly;

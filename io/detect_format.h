@@ -25,6 +25,9 @@ inline constexpr std::size_t kDetectBytes = std::size_t{1} << 14;
 /// are passed over: "a/Model.PLY.gz" gives "ply".
 std::string MeshSuffix(std::string_view name);
 
+/// Whether files of this name are usually meshes of a format that Strata reads, packed ones too.
+bool HasMeshSuffix(std::string_view name);
+
 /// Tells the format from the content. The suffix decides only where the content leaves it open: OFF
 /// without its keyword, text that begins with nothing but comments, and files of no known form,
 /// whose reader will then say what is wrong with them.
