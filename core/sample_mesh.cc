@@ -1,8 +1,6 @@
 #include "core/sample_mesh.h"
 
 #include <tbb/blocked_range.h>
-#include <tbb/global_control.h>
-#include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
@@ -16,6 +14,7 @@
 #include <string>
 #include <vector>
 
+#include "core/arena.h"
 #include "core/checkpoint.h"
 #include "core/enclosing_ball.h"
 #include "core/gather.h"
@@ -27,6 +26,7 @@
 #include "core/scan_mesh.h"
 #include "core/stopwatch.h"
 #include "core/triangle_hash.h"
+#include "core/uniform.h"
 
 namespace strata {
 namespace {
@@ -40,6 +40,12 @@ std::string Number(double v) {
 }
 
 bool IsEdgeAllowed(double edge) { return edge >= kMinEdge && edge <= kMaxEdge; }
+
+Result<void> CheckEdge(double edge) {
+  if (IsEdgeAllowed(edge)) return {};
+  return Fail(ErrorCode::kOverBudget, "the cells' edge would be " + Number(edge) +
+                                          "; expected 1e-60 to 1e60; use other units");
+}
 
 Result<void> CheckLattice(const LatticeSpec& spec) {
   if (const auto* r = std::get_if<Resolution>(&spec); r && (r->n < 1 || r->n > kMaxResolution)) {
@@ -55,26 +61,6 @@ Result<void> CheckLattice(const LatticeSpec& spec) {
                 "height is " + std::to_string(h->h) + "; expected 1 to 30");
   }
   return {};
-}
-
-Result<void> CheckOptions(const SampleOptions& o) {
-  if (!(o.lambda >= 0 && o.lambda <= kMaxLambda)) {
-    return Fail(ErrorCode::kInvalidArgument,
-                "lambda is " + Number(o.lambda) + "; expected 0 to 500");
-  }
-  if (!(o.min_distance >= 0 && o.min_distance <= kMaxMinDistance)) {
-    return Fail(ErrorCode::kInvalidArgument,
-                "minimum distance is " + Number(o.min_distance) + "; expected 0 to 4");
-  }
-  if (o.threads < 0 || o.threads > 4096) {
-    return Fail(ErrorCode::kInvalidArgument,
-                "threads is " + std::to_string(o.threads) + "; expected 0 to 4096");
-  }
-  if (o.batch_size < 1 || o.batch_size > (std::size_t{1} << 20)) {
-    return Fail(ErrorCode::kInvalidArgument,
-                "batch size is " + std::to_string(o.batch_size) + "; expected 1 to 1048576");
-  }
-  return CheckLattice(o.lattice);
 }
 
 // A lattice, and what must hold of the surface for it to be the right one. Vertices are at hand
@@ -345,11 +331,7 @@ class ScanJob {
   }
 
   Result<ScanTotals> ScanOn(const LatticeChoice& choice, const std::optional<Checkpoint>& former) {
-    const double edge = choice.lattice.edge;
-    if (!IsEdgeAllowed(edge)) {
-      return Fail(ErrorCode::kOverBudget, "the cells' edge would be " + Number(edge) +
-                                              "; expected 1e-60 to 1e60; use other units");
-    }
+    if (auto checked = CheckEdge(choice.lattice.edge); !checked) return Forward(checked);
     const Stopwatch watch;
     context_.SetStage(RunContext::Stage::kScan);
     const auto plan = PlanScan(options_, context_);
@@ -407,17 +389,6 @@ class ScanJob {
   ScannedMesh result_;
 };
 
-// Runs `work` on as many threads as the options say.
-template <class F>
-auto InArena(const SampleOptions& options, F&& work) {
-  const int threads = options.threads > 0 ? options.threads : tbb::info::default_concurrency();
-  // Without this, TBB would not start more workers than there are processors.
-  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism,
-                                  static_cast<std::size_t>(threads));
-  tbb::task_arena arena(threads);
-  return arena.execute(work);
-}
-
 GatherOptions GatherOptionsOf(const SampleStats& stats, const SampleOptions& options) {
   return {stats.lattice,
           stats.bounds,
@@ -438,6 +409,46 @@ SampledMesh Sampled(SampleStats stats, Gathered gathered) {
 
 }  // namespace
 
+Result<void> CheckOptions(const SampleOptions& o) {
+  if (!(o.lambda >= 0 && o.lambda <= kMaxLambda)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "lambda is " + Number(o.lambda) + "; expected 0 to 500");
+  }
+  if (!(o.min_distance >= 0 && o.min_distance <= kMaxMinDistance)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "minimum distance is " + Number(o.min_distance) + "; expected 0 to 4");
+  }
+  if (o.threads < 0 || o.threads > 4096) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "threads is " + std::to_string(o.threads) + "; expected 0 to 4096");
+  }
+  if (o.batch_size < 1 || o.batch_size > (std::size_t{1} << 20)) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "batch size is " + std::to_string(o.batch_size) + "; expected 1 to 1048576");
+  }
+  if (o.count > kMaxCount) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "count is " + std::to_string(o.count) + "; expected at most 1099511627776");
+  }
+  return CheckLattice(o.lattice);
+}
+
+Result<Lattice> FindLattice(MeshReader& reader, const LatticeSpec& spec, const Bounds& bounds,
+                            int& passes, RunContext& context) {
+  Lattice lattice;
+  if (const auto* voxel = std::get_if<VoxelSize>(&spec)) {
+    lattice = LatticeFor(*voxel);
+  } else if (const auto* resolution = std::get_if<Resolution>(&spec)) {
+    lattice = LatticeFor(bounds, *resolution);
+  } else {
+    const auto choice = FromSurface(reader, spec, passes, context);
+    if (!choice) return Forward(choice);
+    lattice = choice->lattice;
+  }
+  if (auto checked = CheckEdge(lattice.edge); !checked) return Forward(checked);
+  return lattice;
+}
+
 std::string HexOf(const SurfaceHash& surface) {
   char hash[33];
   std::snprintf(hash, sizeof hash, "%016llx%016llx", static_cast<unsigned long long>(surface.high),
@@ -448,12 +459,17 @@ std::string HexOf(const SurfaceHash& surface) {
 Result<ScannedMesh> ScanMesh(MeshReader& reader, const SampleOptions& options, const Share& share,
                              const std::optional<Lattice>& lattice, RunContext& context) {
   if (auto valid = CheckOptions(options); !valid) return Forward(valid);
-  return InArena(options, [&] { return ScanJob(reader, options, context).Run(share, lattice); });
+  if (options.method != Method::kStratified) {
+    return Fail(ErrorCode::kInvalidArgument,
+                "the uniform method is not one of shares: sample the whole mesh at once");
+  }
+  return InArena(options.threads,
+                 [&] { return ScanJob(reader, options, context).Run(share, lattice); });
 }
 
 Result<SampledMesh> GatherSamples(ScannedMesh scanned, const SampleOptions& options,
                                   RunContext& context) {
-  return InArena(options, [&]() -> Result<SampledMesh> {
+  return InArena(options.threads, [&]() -> Result<SampledMesh> {
     const GatherOptions gather = GatherOptionsOf(scanned.stats, options);
     const ReservoirGrid& grid = scanned.store->grid();
     const std::uint64_t needed = grid.bytes() + grid.size() * kGatherBytesPerCell;
@@ -468,7 +484,7 @@ Result<SampledMesh> GatherSamples(ScannedMesh scanned, const SampleOptions& opti
 Result<SampledMesh> GatherRegion(ScannedMesh scanned, std::span<const Partial> parts,
                                  const Region& region, const SampleOptions& options,
                                  RunContext& context) {
-  return InArena(options, [&]() -> Result<SampledMesh> {
+  return InArena(options.threads, [&]() -> Result<SampledMesh> {
     auto gathered = GatherPartials(parts, region, GatherOptionsOf(scanned.stats, options), context);
     if (!gathered) return Forward(gathered);
     return Sampled(std::move(scanned.stats), std::move(*gathered));
@@ -477,6 +493,7 @@ Result<SampledMesh> GatherRegion(ScannedMesh scanned, std::span<const Partial> p
 
 Result<SampledMesh> SampleMeshStreamed(MeshReader& reader, const SampleOptions& options,
                                        RunContext& context) {
+  if (options.method == Method::kUniform) return SampleUniform(reader, options, context);
   auto scanned = ScanMesh(reader, options, {}, {}, context);
   if (!scanned) return Forward(scanned);
   return GatherSamples(std::move(*scanned), options, context);

@@ -26,6 +26,13 @@ inline constexpr double kMinEdge = 1e-60, kMaxEdge = 1e60;
 inline constexpr std::uint32_t kMaxResolution = 1u << 29;
 inline constexpr std::uint32_t kMaxHeight = 30;
 
+inline constexpr std::uint64_t kMaxCount = std::uint64_t{1} << 40;
+
+enum class Method : std::uint8_t {
+  kStratified,  ///< One sample per occupied cell, then the minimum distance.
+  kUniform,     ///< Independent samples, uniform by area: core/uniform.h, docs/adr/0016.
+};
+
 enum class Integrator : std::uint8_t {
   kExact,      ///< The race: the law itself, no subdivision (docs/adr/0002).
   kSubdivide,  ///< The paper's own subdivision, as its authors' program does it.
@@ -39,6 +46,10 @@ struct SampleOptions {
   double min_distance = 0.5;  ///< Fraction of the edge; 0 = off. 0 <= m <= kMaxMinDistance.
   std::uint64_t seed = 0;
   Integrator integrator = Integrator::kExact;
+  Method method = Method::kStratified;
+  /// Of kUniform, how many samples, at most kMaxCount; then lambda, min_distance and integrator
+  /// have no say. 0 = as many as kStratified keeps with the same options.
+  std::uint64_t count = 0;
   AttributeSet attributes = kNormal;
   bool strict = false;  ///< Any skipped triangle is an error (kCorruptInput).
   // ---
@@ -89,10 +100,12 @@ struct SampledMesh {
 /// The samples are a function of the surface, the options above the line and the seed (promise 3).
 /// Threads: uses up to `options.threads`, fewer if their buffers do not fit; call from one. Memory:
 /// the reader's, plus 15 MB per thread, plus at most kBytesPerCell per occupied cell - or, with a
-/// limited account, what is left of that: the rest goes to the context's scratch space.
+/// limited account, what is left of that: the rest goes to the context's scratch space (kUniform:
+/// core/uniform.h).
 /// Errors: the reader's; kInvalidArgument (options out of range), kEmptySurface, kOverBudget (cell
 /// coordinates beyond 2^30, more than max_cells, or a stage that does not fit its share of memory),
-/// kCancelled, kCorruptInput (strict), kIo (scratch space). The context must outlive the samples.
+/// kCancelled, kCorruptInput (strict), kIo (scratch space). The reader and the context must outlive
+/// the samples.
 inline constexpr std::uint64_t kBytesPerCell = 400;
 Result<SampledMesh> SampleMeshStreamed(MeshReader& reader, const SampleOptions& options,
                                        RunContext& context);

@@ -23,6 +23,14 @@ struct ScannedMesh {
   std::unique_ptr<ReservoirStore> store;
 };
 
+/// The lattice for a surface within `bounds`; for Height in passes over `reader`, which it adds to
+/// `passes`. Errors: the reader's; kOverBudget when the edge is out of kMinEdge to kMaxEdge.
+Result<Lattice> FindLattice(MeshReader& reader, const LatticeSpec& spec, const Bounds& bounds,
+                            int& passes, RunContext& context);
+
+/// Whether the options are within their ranges. Errors: kInvalidArgument.
+Result<void> CheckOptions(const SampleOptions& options);
+
 /// 32 hex digits.
 std::string HexOf(const SurfaceHash& surface);
 
@@ -30,7 +38,8 @@ std::string HexOf(const SurfaceHash& surface);
 /// other shares' are not even read where the file allows it, and the share stays selected. Over all
 /// shares stats.read, skipped, sampled and pieces add up to the whole mesh's. Without `lattice` a
 /// share of several finds the lattice in passes over the whole surface; `lattice`, if given, must
-/// be what those would find. Errors: as SampleMesh; a share may hold no triangle.
+/// be what those would find. Errors: as SampleMesh; a share may hold no triangle; kInvalidArgument
+/// for Method::kUniform, whose samples are not decided share by share.
 Result<ScannedMesh> ScanMesh(MeshReader& reader, const SampleOptions& options, const Share& share,
                              const std::optional<Lattice>& lattice, RunContext& context);
 

@@ -180,6 +180,9 @@ constexpr NumberRange<double> kVoxelSizeRange = {
     "a number from 1e-60 to 1e60, in world units (default: --resolution 128 instead)"};
 constexpr NumberRange<std::uint32_t> kHeightRange = {
     "--height", 1, kMaxHeight, "a whole number from 1 to 30 (default: --resolution 128 instead)"};
+constexpr NumberRange<std::uint64_t> kCountRange = {
+    "--count", 1, kMaxCount,
+    "a whole number from 1 to 1099511627776 (default as many as the stratified method keeps)"};
 constexpr NumberRange<double> kLambdaRange = {"--lambda", 0, kMaxLambda,
                                               "a number from 0 to 500 (default 5)"};
 constexpr NumberRange<double> kMinDistanceRange = {
@@ -229,6 +232,13 @@ class Converter {
   Result<void> outcome_;
 };
 
+Result<Method> ParseMethod(std::string_view name) {
+  if (name == "stratified") return Method::kStratified;
+  if (name == "uniform") return Method::kUniform;
+  return Refuse("--method: found '" + std::string(name) +
+                "', expected stratified or uniform (default stratified)");
+}
+
 Result<Integrator> ParseIntegrator(std::string_view name) {
   if (name == "exact") return Integrator::kExact;
   if (name == "subdivide") return Integrator::kSubdivide;
@@ -268,7 +278,21 @@ void ConvertWhere(const RawSample& raw, Converter& convert, LatticeSpec& lattice
   }
 }
 
+void ConvertMethod(const RawSample& raw, Converter& convert, SampleOptions& options) {
+  convert.Text(raw.method, options.method, ParseMethod);
+  convert.Number(raw.count, kCountRange, options.count);
+  convert.Require(
+      !raw.count || options.method == Method::kUniform,
+      "--count is an option of --method uniform: how many samples the stratified method "
+      "keeps follows from the cells (--resolution, --voxel-size or --height)");
+  convert.Require(
+      !raw.count || (!raw.lambda && !raw.min_distance && !raw.integrator),
+      "--count excludes --lambda, --min-distance and --integrator: with --method uniform "
+      "they only decide how many samples there are without it");
+}
+
 void ConvertHow(const RawSample& raw, Converter& convert, SampleOptions& options) {
+  ConvertMethod(raw, convert, options);
   convert.Number(raw.lambda, kLambdaRange, options.lambda);
   convert.Number(raw.min_distance, kMinDistanceRange, options.min_distance);
   convert.Number(raw.seed, kSeedRange, options.seed);

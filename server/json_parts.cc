@@ -43,8 +43,16 @@ Json LatticeToJson(const LatticeSpec& spec, const Lattice& lattice) {
   return json;
 }
 
-Json OptionsToJson(const SampleOptions& options, double position_error) {
-  return {{"lambda", options.lambda},
+Json OptionsToJson(const SampleOptions& options, double position_error, const SampleStats& stats) {
+  if (options.method == Method::kUniform) {
+    return {{"method", "uniform"},
+            {"count", stats.survivors},
+            {"seed", options.seed},
+            {"attributes", AttributesToJson(options.attributes)},
+            {"position_error", position_error}};
+  }
+  return {{"method", "stratified"},
+          {"lambda", options.lambda},
           {"min_distance", options.min_distance},
           {"seed", options.seed},
           {"integrator", options.integrator == Integrator::kExact ? "exact" : "subdivide"},

@@ -20,6 +20,6 @@ Json SkippedToJson(const SkipCounts& skipped);   ///< Reason → count, all reas
 Json AttributesToJson(AttributeSet attributes);  ///< Names in the order of the bits.
 Json LatticeToJson(const LatticeSpec& spec, const Lattice& lattice);
 /// The options that decide the samples, each under its name on the command line.
-Json OptionsToJson(const SampleOptions& options, double position_error);
+Json OptionsToJson(const SampleOptions& options, double position_error, const SampleStats& stats);
 
 }  // namespace strata::server

@@ -15,7 +15,7 @@ constexpr const char* kHow = "How";
 constexpr const char* kWhat = "What comes out";
 constexpr const char* kRun = "How it runs (none of these changes a sample)";
 
-constexpr std::array<OptionRow, 19> kOptionRows = {{
+constexpr std::array<OptionRow, 21> kOptionRows = {{
     {"--resolution", "N", kWhere,
      "Cells along the longest side of the bounding box.\n"
      "1 to 536870912; default 128.",
@@ -28,6 +28,16 @@ constexpr std::array<OptionRow, 19> kOptionRows = {{
      "Height of the paper's octree: edge 2R / 2^(H-1), R the radius of\n"
      "the minimum enclosing ball. 1 to 30.",
      &RawSample::height},
+    {"--method", "NAME", kHow,
+     "stratified: one sample per occupied cell, then the minimum\n"
+     "distance; uniform: independent samples, uniform by area.\n"
+     "Default stratified.",
+     &RawSample::method},
+    {"--count", "N", kHow,
+     "Of --method uniform, how many samples, 1 to 1099511627776. Default:\n"
+     "as many as stratified keeps with the same options. Excludes\n"
+     "--lambda, --min-distance and --integrator, which decide that.",
+     &RawSample::count},
     {"--lambda", "L", kHow,
      "How strongly samples keep to the centre of their cell: density\n"
      "exp(-L d), d in edges; 0 = uniform. 0 to 500; default 5.",
@@ -105,6 +115,7 @@ std::span<const FlagRow> SampleFlagRows() { return kFlagRows; }
 
 bool Takes(Subcommand command, std::string_view names) {
   if (command == Subcommand::kSample) return true;
+  if (names == "--method" || names == "--count") return false;  // Not of shares.
   // What decides the reservoirs, and what decides the rest.
   constexpr std::string_view kOfScan[] = {
       "--resolution", "--voxel-size", "--height",     "--lambda", "--seed",

@@ -35,6 +35,8 @@ Result<std::string> JobKey(const SampleCommand& command, const Share& share,
                     options.lambda,
                     options.seed,
                     options.integrator,
+                    options.method,
+                    options.count,
                     options.attributes & kBarycentric,
                     share.index,
                     share.count};

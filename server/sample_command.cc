@@ -130,11 +130,10 @@ Result<std::unique_ptr<MeshReader>> OpenInput(const SampleCommand& command, RunC
   return reader;
 }
 
-Result<SampledMesh> Sample(const SampleCommand& command, RunContext& context, JobFigures& figures) {
-  const auto reader = OpenInput(command, context, figures);
-  if (!reader) return Forward(reader);
-  auto result = SampleMeshStreamed(**reader, OptionsForOutput(command), context);
-  figures.scan_bytes = (*reader)->bytes_read() - figures.open_bytes;
+Result<SampledMesh> Sample(const SampleCommand& command, MeshReader& reader, RunContext& context,
+                           JobFigures& figures) {
+  auto result = SampleMeshStreamed(reader, OptionsForOutput(command), context);
+  figures.scan_bytes = reader.bytes_read() - figures.open_bytes;
   if (!result) return tl::unexpected<Error>(Named(result.error(), command.input));
   return result;
 }
@@ -366,7 +365,9 @@ Result<void> RunSample(const SampleCommand& command, RunContext& context, JobRep
   Job job(command, context);
   if (auto ready = job.Prepare(PlacesOf(command)); !ready) return ready;
   if (auto kept = job.KeepCheckpoints({}, {}); !kept) return kept;
-  auto sampled = Sample(command, context, job.figures);
+  const auto reader = OpenInput(command, context, job.figures);
+  if (!reader) return Forward(reader);
+  auto sampled = Sample(command, **reader, context, job.figures);
   if (!sampled) return Forward(sampled);
   return job.Deliver(std::move(*sampled), report);
 }

@@ -66,12 +66,16 @@ std::string SummaryJson(const SampleCommand& command, const SampleStats& stats,
   json["mesh"]["sampled"] = stats.sampled;
   json["mesh"]["bounds"] = ToJson(stats.bounds);
   json["mesh"]["area"] = stats.mesh_area;
-  json["options"] = OptionsToJson(command.options, command.position_error);
+  json["options"] = OptionsToJson(command.options, command.position_error, stats);
   json["lattice"] = LatticeToJson(command.options.lattice, stats.lattice);
-  json["cells"] = stats.cells;
-  json["cell_area"] = stats.cell_area;
-  json["pieces"] = stats.pieces;
-  json["samples"] = {{"before_rejection", stats.cells}, {"after_rejection", stats.survivors}};
+  const bool uniform = command.options.method == Method::kUniform;
+  if (!uniform) {  // Which has no cells but those of the attribute.
+    json["cells"] = stats.cells;
+    json["cell_area"] = stats.cell_area;
+    json["pieces"] = stats.pieces;
+  }
+  json["samples"] = {{"before_rejection", uniform ? stats.survivors : stats.cells},
+                     {"after_rejection", stats.survivors}};
   json["passes"] = stats.passes;
   json["resumed_at_triangle"] = stats.resumed_at;
   json["stages"] = StagesToJson(stats, figures);
@@ -85,11 +89,17 @@ std::string ResumedText(std::uint64_t at) {
   return at == 0 ? "" : "; the first " + Grouped(at) + " by a former process";
 }
 
+std::string SamplesText(const SampleCommand& command, const SampleStats& stats) {
+  const std::string samples = Grouped(stats.survivors);
+  if (command.options.method == Method::kUniform) return samples + ", uniform by area";
+  return samples + " of " + Grouped(stats.cells) + " occupied cells of edge " +
+         Short(stats.lattice.edge);
+}
+
 std::string SummaryText(const SampleCommand& command, const SampleStats& stats,
                         const JobFigures& figures) {
   std::ostringstream out;
-  out << "samples    " << Grouped(stats.survivors) << " of " << Grouped(stats.cells)
-      << " occupied cells of edge " << Short(stats.lattice.edge) << '\n'
+  out << "samples    " << SamplesText(command, stats) << '\n'
       << "triangles  " << Grouped(stats.sampled) << ", skipped " << Grouped(Sum(stats.skipped))
       << SkippedByReason(stats.skipped) << ResumedText(stats.resumed_at) << '\n'
       << "area       " << Short(stats.mesh_area) << '\n'

@@ -32,10 +32,15 @@ Result<v1::SampleOptions> Canonical(const v1::SampleOptions& options) {
   } else {
     canonical.set_resolution(std::get<Resolution>(checked.lattice).n);
   }
-  canonical.set_lambda(checked.lambda);
-  canonical.set_min_distance(checked.min_distance);
+  canonical.set_method(checked.method == Method::kUniform ? "uniform" : "stratified");
+  if (checked.count > 0) {  // Then the others have no say, and may not be given.
+    canonical.set_count(checked.count);
+  } else {
+    canonical.set_lambda(checked.lambda);
+    canonical.set_min_distance(checked.min_distance);
+    canonical.set_integrator(checked.integrator == Integrator::kExact ? "exact" : "subdivide");
+  }
   canonical.set_seed(checked.seed);
-  canonical.set_integrator(checked.integrator == Integrator::kExact ? "exact" : "subdivide");
   canonical.set_strict(checked.strict);
   canonical.set_format(std::ranges::find(Formats(), command->format, &FormatName::format)->name);
   canonical.set_attributes(AttributeNames(checked.attributes));

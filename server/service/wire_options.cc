@@ -52,6 +52,8 @@ RawSample RawOf(const v1::SampleOptions& options) {
   if (options.has_resolution()) raw.resolution = TextOf(options.resolution());
   if (options.has_voxel_size()) raw.voxel_size = TextOf(options.voxel_size());
   if (options.has_height()) raw.height = TextOf(options.height());
+  if (options.has_method()) raw.method = options.method();
+  if (options.has_count()) raw.count = TextOf(options.count());
   if (options.has_lambda()) raw.lambda = TextOf(options.lambda());
   if (options.has_min_distance()) raw.min_distance = TextOf(options.min_distance());
   if (options.has_seed()) raw.seed = TextOf(options.seed());
@@ -117,6 +119,8 @@ Result<void> CheckTexts(const nlohmann::json& json) {
   take("resolution", raw.resolution);
   take("voxel_size", raw.voxel_size);
   take("height", raw.height);
+  take("method", raw.method);
+  take("count", raw.count);
   take("lambda", raw.lambda);
   take("min_distance", raw.min_distance);
   take("seed", raw.seed);

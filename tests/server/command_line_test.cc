@@ -76,6 +76,39 @@ TEST(OptionVoxelSize, IsAnyPositiveNumber) {
   }
 }
 
+TEST(OptionMethod, DefaultsToStratified) {
+  EXPECT_EQ(Sample("").options.method, Method::kStratified);
+  EXPECT_EQ(Sample("--method stratified").options.method, Method::kStratified);
+  EXPECT_EQ(Sample("--method uniform").options.method, Method::kUniform);
+  EXPECT_THAT(SampleRefusal("--method random"),
+              HasSubstr("--method: found 'random', expected stratified or uniform"));
+  for (const char* line : {"scan in.ply --share 0/1 -o a.run", "merge a.run -o a.ply"}) {
+    EXPECT_THAT(Refusal(std::string(line) + " --method uniform"),
+                HasSubstr("unknown option '--method'"));
+  }
+}
+
+TEST(OptionCount, IsOfTheUniformMethodAlone) {
+  EXPECT_EQ(Sample("--method uniform").options.count, 0u) << "as many as stratified keeps";
+  EXPECT_EQ(Sample("--method uniform --count 1").options.count, 1u);
+  EXPECT_EQ(Sample("--method uniform --count 1099511627776").options.count, kMaxCount);
+  for (const char* bad : {"0", "1099511627777", "-3", "1.5", "many"}) {
+    EXPECT_THAT(SampleRefusal(std::string("--method uniform --count ") + bad),
+                HasSubstr("--count: found '" + std::string(bad) + "', expected a whole number"));
+  }
+  EXPECT_THAT(SampleRefusal("--count 5"), HasSubstr("an option of --method uniform"));
+  EXPECT_THAT(SampleRefusal("--count 5 --method stratified"), HasSubstr("--method uniform"));
+}
+
+TEST(OptionCount, ExcludesWhatDecidesTheNumberWithoutIt) {
+  for (const char* option : {"--lambda 3", "--min-distance 0.7", "--integrator exact"}) {
+    EXPECT_EQ(Sample(std::string("--method uniform ") + option).options.method, Method::kUniform);
+    EXPECT_THAT(SampleRefusal(std::string("--method uniform --count 5 ") + option),
+                HasSubstr("--count excludes --lambda, --min-distance and --integrator"));
+  }
+  EXPECT_EQ(Sample("--method uniform --count 5 --voxel-size 2 --seed 3").options.count, 5u);
+}
+
 TEST(OptionHeight, RunsFrom1To30) {
   EXPECT_EQ(std::get<Height>(Sample("--height 7").options.lattice).h, 7u);
   for (const char* bad : {"0", "31", "-7", "7.0"}) {

@@ -44,6 +44,18 @@ TEST(Provenance, NamesEverythingThatDecidesTheSamples) {
   EXPECT_EQ(found["lattice"]["height"], 7);
 }
 
+TEST(Provenance, NamesTheMethodAndOfUniformSamplesTheirNumber) {
+  EXPECT_EQ(Parsed({})["method"], "stratified");
+  SampleOptions options;
+  options.method = Method::kUniform;
+  SampleStats stats = Stats();
+  stats.survivors = 1234;
+  const json found = json::parse(Provenance(options, 0.01, stats));
+  EXPECT_EQ(found["method"], "uniform");
+  EXPECT_EQ(found["count"], 1234);
+  EXPECT_FALSE(found.contains("lambda")) << "has no say";
+}
+
 TEST(Provenance, GivesTheLatticeBackBitForBit) {
   const json lattice = Parsed({})["lattice"];
   EXPECT_EQ(lattice["resolution"], 128);

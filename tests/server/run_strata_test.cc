@@ -107,6 +107,40 @@ TEST_F(RunStrata, SameSurfaceInAnotherFormatGivesTheSameBytes) {
   EXPECT_TRUE(Written("a.drc", {}) == ReadText(In("b.drc")));
 }
 
+TEST_F(RunStrata, UniformSamplesAreAsManyAsAskedAndTheSameBytesFromEveryFormat) {
+  WriteFile(In("cube.ply"), CubePly());
+  for (const char* format : {"drc", "ply", "xyz", "npz"}) {
+    const std::vector<std::string> options = {"--method", "uniform",  "--count",
+                                              "5000",     "--format", format};
+    const std::string once = Written("a", options);
+    std::vector<std::string> other = {"sample", In("cube.ply"), "-o", In("b"), "--threads",
+                                      "3",      "--memory",     "64M"};
+    other.insert(other.end(), options.begin(), options.end());
+    const Outcome outcome = Strata(other);
+    ASSERT_EQ(outcome.status, 0) << outcome.err;
+    EXPECT_THAT(outcome.err, HasSubstr("5,000, uniform by area"));
+    EXPECT_TRUE(ReadText(In("b")) == once) << format;
+  }
+}
+
+TEST_F(RunStrata, UniformSamplesWithoutACountAreAsManyAsStratifiedOnes) {
+  const std::vector<std::string> uniform = {"--method", "uniform", "--resolution", "20"};
+  EXPECT_EQ(Sample("a.ply", {"--resolution", "20", "--summary", In("a.json")}).status, 0);
+  const json kept = json::parse(ReadText(In("a.json")))["samples"]["after_rejection"];
+  std::vector<std::string> counted = uniform;
+  counted.insert(counted.end(), {"--count", kept.dump()});
+  EXPECT_TRUE(Written("b.ply", uniform) == Written("c.ply", counted));
+}
+
+TEST_F(RunStrata, MoreUniformSamplesThanATileAreAFolder) {
+  ASSERT_EQ(
+      Sample("out.drc", {"--method", "uniform", "--count", "5000", "--tile-samples", "400"}).status,
+      0);
+  const json set = json::parse(ReadText(In("out.drc/tileset.json")));
+  EXPECT_EQ(set["count"], 5000);
+  EXPECT_GT(set["tiles"].size(), 12u);
+}
+
 TEST_F(RunStrata, ThreadsAndBatchesDoNotShowInTheBytes) {
   const std::string once = Written("a.drc", {"--threads", "1"});
   EXPECT_TRUE(Written("b.drc", {"--threads", "3"}) == once);

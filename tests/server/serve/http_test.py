@@ -39,6 +39,14 @@ class Samples(ServerCase):
             answer = self.server.curl(f'/v1/samples?{name}={value}', body=spot().read_bytes())
             self.assertTrue(answer.body == sample_by_command(spot(), 'drc', f'--{name}', value))
 
+    def test_uniform_samples_have_the_bytes_of_the_command(self):
+        for query, flags in [('method=uniform&count=3000', ['--count', '3000']),
+                             ('method=uniform&resolution=30', ['--resolution', '30'])]:
+            answer = self.server.curl(f'/v1/samples?format=ply&{query}', body=spot().read_bytes())
+            expected = sample_by_command(spot(), 'ply', '--method', 'uniform', *flags)
+            self.assertEqual(answer.status, 200, answer.body)
+            self.assertTrue(answer.body == expected, query)
+
     def test_how_it_runs_changes_no_byte(self):
         expected = sample_by_command(spot(), 'ply', '--resolution', '30')
         for run in ('threads=1', 'memory=67108864', 'batch_size=3', 'strict=true', 'strict'):
@@ -107,6 +115,10 @@ class Problems(ServerCase):
                 ('min-distance=x', "min_distance: found 'x', expected"),
                 ('seed=18446744073709551616', "seed: found '18446744073709551616'"),
                 ('integrator=magic', "integrator: found 'magic', expected exact or subdivide"),
+                ('method=random', "method: found 'random', expected stratified or uniform"),
+                ('method=uniform&count=0', "count: found '0', expected a whole number"),
+                ('count=10', 'count is an option of method uniform'),
+                ('method=uniform&count=10&lambda=3', 'count excludes lambda, min_distance and'),
                 ('format=stl', "format: found 'stl', expected drc, ply, xyz or npz"),
                 ('attributes=colour', "attributes: found 'colour', expected normal, triangle"),
                 ('memory=1', 'memory: found'),
