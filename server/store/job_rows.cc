@@ -78,15 +78,16 @@ Result<std::optional<Job>> FindJobByKey(Session& session, const std::string& cli
 
 Result<void> InsertJob(Session& session, Job& job) {
   const JobRequest& request = job.request;
-  auto inserted = session.Run(
+  auto inserted = session.Query(
       "INSERT INTO jobs (id, state, model, model_hash, model_blob, options, result_key, client,"
       " idempotency_key, request_hash, created)"
-      " VALUES (?1, ?2, ?3, ?4, (SELECT hash FROM blobs WHERE hash = ?4), ?5, ?6, ?7, ?8, ?9, ?10)",
-      job.id, static_cast<std::int64_t>(job.state), request.model, request.model_hash,
-      request.options, request.result_key, request.client, Filled(request.idempotency_key),
-      RequestHash(request), ToMillis(job.created));
+      " VALUES (?1, ?2, ?3, ?4, (SELECT hash FROM blobs WHERE hash = ?4), ?5, ?6, ?7, ?8, ?9, ?10)"
+      " RETURNING number",
+      [&](const Row& row) { job.number = row.Int(0); }, job.id,
+      static_cast<std::int64_t>(job.state), request.model, request.model_hash, request.options,
+      request.result_key, request.client, Filled(request.idempotency_key), RequestHash(request),
+      ToMillis(job.created));
   if (!inserted) return Forward(inserted);
-  job.number = session.LastNumber();
   return {};
 }
 
@@ -100,7 +101,7 @@ Result<void> UpdateJob(Session& session, const Job& job) {
       "UPDATE jobs SET state = ?, started = ?, finished = ?, attempts = ?, owner = ?,"
       " lease_until = ?, cancel_requested = ?, stage = ?, done = ?, total = ?, sequence = ?,"
       " error_code = ?, error_message = ?, result_blob = ?, result_size = ?, media_type = ?,"
-      " summary = ?, model_blob = iif(?, NULL, model_blob) WHERE number = ?",
+      " summary = ?, model_blob = CASE WHEN ? = 1 THEN NULL ELSE model_blob END WHERE number = ?",
       static_cast<std::int64_t>(job.state), Millis(job.started), Millis(job.finished), job.attempts,
       Filled(job.owner), Millis(job.lease_until), std::int64_t{job.cancel_requested},
       job.progress.stage, static_cast<std::int64_t>(job.progress.done),

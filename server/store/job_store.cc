@@ -136,7 +136,7 @@ Result<JobPage> JobStore::List(const JobQuery& query) {
   if (!last->empty()) before = std::strtoll(last->c_str(), nullptr, 10);
   static const std::string kSelect =
       "SELECT " + kJobColumns +
-      " FROM jobs WHERE (?1 IS NULL OR number < ?1) AND (?2 >> state) & 1"
+      " FROM jobs WHERE (?1 IS NULL OR number < ?1) AND ((?2 >> CAST(state AS INTEGER)) & 1) = 1"
       " AND (?3 IS NULL OR model = ?3) AND (?4 IS NULL OR client = ?4)"
       " AND (?5 IS NULL OR created >= ?5) AND (?6 IS NULL OR created < ?6)"
       " ORDER BY number DESC LIMIT ?7";

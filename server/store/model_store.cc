@@ -225,8 +225,10 @@ Result<std::string> ModelStore::HashOf(const std::string& name, const Repository
   if (session) {
     // The same: what cannot be noted is hashed again.
     auto noted = session->Run(
-        "INSERT OR REPLACE INTO repository_files (name, fingerprint, hash) VALUES (?, ?, ?)", name,
-        file.fingerprint, *hash);
+        "INSERT INTO repository_files (name, fingerprint, hash) VALUES (?, ?, ?)"
+        " ON CONFLICT (name) DO UPDATE SET fingerprint = excluded.fingerprint, hash = "
+        "excluded.hash",
+        name, file.fingerprint, *hash);
     if (noted) (void)session->Commit();
   }
   return hash;

@@ -142,8 +142,10 @@ Result<void> ResultCache::Store(const std::string& key, const BlobPin& blob,
         key);
     if (!asked) return Forward(asked);
     auto stored = session->Run(
-        "INSERT OR REPLACE INTO results (key, blob, media_type, summary, created, last_used)"
-        " VALUES (?, ?, ?, ?, ?, ?)",
+        "INSERT INTO results (key, blob, media_type, summary, created, last_used)"
+        " VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (key) DO UPDATE SET blob = excluded.blob,"
+        " media_type = excluded.media_type, summary = excluded.summary,"
+        " created = excluded.created, last_used = excluded.last_used",
         key, blob.hash(), media_type, summary, ToMillis(parts_.clock.Now()), NextUse());
     if (!stored) return Forward(stored);
     if (auto committed = session->Commit(); !committed) return committed;

@@ -49,7 +49,7 @@ Result<std::unique_ptr<UploadStore>> UploadStore::Open(const Parts& parts,
 Result<void> UploadStore::Recover() {
   std::vector<UploadInfo> rows;
   auto listed = parts_.database.Read().Query(
-      "SELECT id, model, metadata, length, offset, created, expires, hash FROM uploads",
+      "SELECT id, model, metadata, length, \"offset\", created, expires, hash FROM uploads",
       [&](const Row& row) { rows.push_back(ReadRow(row)); });
   if (!listed) return Forward(listed);
   for (const UploadInfo& info : rows) {
@@ -149,7 +149,7 @@ Result<void> UploadStore::Insert(const UploadInfo& info) {
   auto session = parts_.database.Write();
   if (!session) return Forward(session);
   auto inserted = session->Run(
-      "INSERT INTO uploads (id, model, metadata, length, offset, created, expires)"
+      "INSERT INTO uploads (id, model, metadata, length, \"offset\", created, expires)"
       " VALUES (?, ?, ?, ?, 0, ?, ?)",
       info.id, info.model, info.metadata, LengthOf(info), ToMillis(info.created),
       ToMillis(info.expires));
@@ -162,7 +162,8 @@ Result<void> UploadStore::Update(Entry& entry, const UploadInfo& info) {
     auto session = parts_.database.Write();
     if (!session) return Forward(session);
     auto updated = session->Run(
-        "UPDATE uploads SET length = ?, offset = ?, expires = ?, hash = nullif(?, '') WHERE id = ?",
+        "UPDATE uploads SET length = ?, \"offset\" = ?, expires = ?, hash = nullif(?, '') WHERE id "
+        "= ?",
         LengthOf(info), static_cast<std::int64_t>(info.offset), ToMillis(info.expires), info.hash,
         info.id);
     if (!updated) return Forward(updated);

@@ -132,7 +132,7 @@ TEST_F(UploadStoreTest, ACompleteUploadThatWasNotStoredIsStoredByTheNextStart) {
   {
     auto database = Database::Open(options.data + "/strata.db");
     ASSERT_OK(database);
-    ASSERT_OK((*database)->Read().Run("UPDATE uploads SET offset = 5"));
+    ASSERT_OK((*database)->Read().Run("UPDATE uploads SET \"offset\" = 5"));
   }
   test::WriteFile(options.data + "/uploads/" + id, "12345");
   Open();
