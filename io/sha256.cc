@@ -5,12 +5,25 @@
 #include <array>
 
 namespace strata::io {
+namespace {
+
+const EVP_MD* MethodOf(DigestKind kind) {
+  switch (kind) {
+    case DigestKind::kMd5:
+      return EVP_md5();
+    case DigestKind::kSha1:
+      return EVP_sha1();
+    default:
+      return EVP_sha256();
+  }
+}
+
+}  // namespace
 
 void Hasher::Free::operator()(evp_md_ctx_st* context) const { EVP_MD_CTX_free(context); }
 
 Hasher::Hasher(DigestKind kind) : context_(EVP_MD_CTX_new()) {
-  const EVP_MD* method = kind == DigestKind::kSha1 ? EVP_sha1() : EVP_sha256();
-  if (context_ && EVP_DigestInit_ex(context_.get(), method, nullptr) != 1) context_.reset();
+  if (context_ && EVP_DigestInit_ex(context_.get(), MethodOf(kind), nullptr) != 1) context_.reset();
 }
 
 void Hasher::Update(std::span<const char> bytes) {

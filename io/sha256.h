@@ -1,4 +1,5 @@
-// SHA-256 (and SHA-1, which the tus protocol asks for) of bytes in memory or as they pass by.
+// SHA-256 (SHA-1 and MD5, which the tus and S3 protocols ask for) of bytes in memory or as they
+// pass by.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +14,7 @@ namespace strata::io {
 /// 64 hex digits, lower case; empty if the library refuses (out of memory).
 std::string Sha256Hex(std::span<const char> bytes);
 
-enum class DigestKind : std::uint8_t { kSha1, kSha256 };
+enum class DigestKind : std::uint8_t { kMd5, kSha1, kSha256 };
 
 /// A digest of a stream. Threads: one at a time. Movable; a moved-from one may only be destroyed.
 class Hasher {

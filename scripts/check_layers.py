@@ -36,6 +36,8 @@ LIBRARIES = {
     'png.h': {'io'},
     'zlib.h': {'io'},
     'zstd.h': {'core', 'io'},
+    'curl/': {'server'},
+    'pugixml.hpp': {'server'},
     'sqlite3.h': {'server'},
     'utf8cpp/': {'server'},
     'CLI/': {'server'},
@@ -45,9 +47,11 @@ LIBRARIES = {
     'google/protobuf/': {'server', 'proto'},
     'boost/': {'server'},
 }
-ONLY_IN_SOURCES = {'draco/', 'openvdb/'}  # Never in a header, where it would spread.
+ONLY_IN_SOURCES = {'curl/', 'draco/', 'openvdb/', 'pugixml.hpp'}  # Never in a header, where it would spread.
 ONE_FILE = {'openvdb/'}  # In one source file of the whole tree.
-ONE_FOLDER = {'sqlite3.h': 'server/store'}  # In this folder alone.
+# In this folder alone.
+ONE_FOLDER = {
+    'sqlite3.h': 'server/store', 'curl/': 'server/remote', 'pugixml.hpp': 'server/remote'}
 # The stores serve every transport, so they know none, and no wire format.
 STORE = 'server/store'
 STORE_MAY_INCLUDE = ('core/', 'io/', 'server/store/')
@@ -147,6 +151,7 @@ def self_test():
         'server/mesh.cc': '#include <draco/mesh/mesh.h>\n',
         'proto/up.h': '#include "server/a.h"\n',
         'server/rows.cc': '#include <sqlite3.h>\n',
+        'server/fetch.cc': '#include <curl/curl.h>\n',
         'server/store/up.cc': '#include "server/exit_codes.h"\n',
         'server/store/wire.h': '#include <nlohmann/json.hpp>\n',
     }
