@@ -37,6 +37,7 @@ Result<std::unique_ptr<SampleWriter>> MakeDracoWriter(std::unique_ptr<AtomicFile
 /// A folder of Draco point clouds; docs/draco-output.md, Tiles. The header's lattice must be set.
 /// Memory: DracoEncoderBytes of the largest tile in Finish, some hundred bytes a tile, and without
 /// scratch space the samples.
+/// With resources.tiles_in_zip a zip of the folder's files, where `path` can be no folder.
 /// Errors: as MakeDracoWriter's, by tile; kInvalidArgument for a name that no folder can have.
 Result<std::unique_ptr<SampleWriter>> MakeFolderWriter(const std::string& path,
                                                        const SampleHeader& header,

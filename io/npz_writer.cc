@@ -1,12 +1,8 @@
-#include <archive.h>
-#include <archive_entry.h>
-
 #include <algorithm>
 #include <bit>
 #include <limits>
 #include <memory>
 #include <new>
-#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -16,6 +12,7 @@
 #include "io/checked_writer.h"
 #include "io/format_writers.h"
 #include "io/spool.h"
+#include "io/stored_zip.h"
 
 namespace strata::io {
 namespace {
@@ -57,28 +54,12 @@ std::u32string DecodeUtf8(std::string_view text) {
   return points;
 }
 
-struct FreeArchive {
-  void operator()(archive* a) const { archive_write_free(a); }
-};
-struct FreeEntry {
-  void operator()(archive_entry* e) const { archive_entry_free(e); }
-};
-
-// A zip of stored members with fixed dates, written into an AtomicFile.
-class StoredZip {
+// Arrays as members of a zip: each a header and the numbers.
+class NpzArchive {
  public:
-  StoredZip(AtomicFile& file, const RunContext* context)
-      : file_(file), context_(context), archive_(archive_write_new()) {}
+  NpzArchive(AtomicFile& file, const RunContext* context) : zip_(file), context_(context) {}
 
-  Result<void> Open() {
-    archive* a = archive_.get();
-    // Unblocked, because libarchive would pad the file to a tape's record otherwise.
-    const bool good = a != nullptr && archive_write_set_format_zip(a) == ARCHIVE_OK &&
-                      archive_write_zip_set_compression_store(a) == ARCHIVE_OK &&
-                      archive_write_set_bytes_per_block(a, 0) == ARCHIVE_OK &&
-                      archive_write_open(a, this, nullptr, &StoredZip::Take, nullptr) == ARCHIVE_OK;
-    return good ? Result<void>() : Failure();
-  }
+  Result<void> Open() { return zip_.Open(); }
 
   // A member `name`.npy: `header`, then all bytes of `data`, which gives its space back.
   Result<void> Add(const std::string& name, const std::string& header, Spool& data) {
@@ -89,7 +70,7 @@ class StoredZip {
       const std::uint64_t n = std::min<std::uint64_t>(portion.size(), data.size() - done);
       const std::span<char> part(portion.data(), n);
       if (auto read = data.Read(done, part); !read) return read;
-      if (auto put = Put(part); !put) return put;
+      if (auto put = zip_.Put(part); !put) return put;
       data.DiscardBefore(done += n);
     }
     return {};
@@ -97,59 +78,21 @@ class StoredZip {
   // As above, with data at hand.
   Result<void> Add(const std::string& name, const std::string& header, std::span<const char> data) {
     if (auto begun = Begin(name, header, data.size()); !begun) return begun;
-    return Put(data);
+    return zip_.Put(data);
   }
 
-  Result<void> Close() {
-    return archive_write_close(archive_.get()) == ARCHIVE_OK ? Result<void>() : Failure();
-  }
+  Result<void> Close() { return zip_.Close(); }
 
  private:
-  static la_ssize_t Take(archive* a, void* self, const void* bytes, std::size_t size) {
-    auto& zip = *static_cast<StoredZip*>(self);
-    auto written = zip.file_.Write({static_cast<const char*>(bytes), size});
-    if (written) return static_cast<la_ssize_t>(size);
-    zip.error_ = written.error();
-    archive_set_error(a, EIO, "write failed");
-    return -1;
-  }
-
   static constexpr std::size_t kPortion = std::size_t{1} << 18;
 
-  // A member's header in the zip, and the array's own. Told its size first, libarchive writes zip64
-  // where that needs it.
   Result<void> Begin(const std::string& name, const std::string& header, std::uint64_t bytes) {
-    const std::unique_ptr<archive_entry, FreeEntry> entry(archive_entry_new());
-    if (!entry) return Fail(ErrorCode::kOverBudget, file_.name() + ": out of memory");
-    archive_entry_set_pathname(entry.get(), (name + ".npy").c_str());
-    archive_entry_set_filetype(entry.get(), AE_IFREG);
-    archive_entry_set_perm(entry.get(), 0644);
-    // No time is set: the zip then says 1980-01-01, whatever the clock and the time zone.
-    archive_entry_set_size(entry.get(), static_cast<la_int64_t>(header.size() + bytes));
-    if (archive_write_header(archive_.get(), entry.get()) != ARCHIVE_OK) return Failure();
-    return Put({header.data(), header.size()});
+    if (auto begun = zip_.Begin(name + ".npy", header.size() + bytes); !begun) return begun;
+    return zip_.Put({header.data(), header.size()});
   }
 
-  Result<void> Put(std::span<const char> bytes) {
-    while (!bytes.empty()) {
-      const la_ssize_t n = archive_write_data(archive_.get(), bytes.data(), bytes.size());
-      if (n <= 0) return Failure();
-      bytes = bytes.subspan(static_cast<std::size_t>(n));
-    }
-    return {};
-  }
-
-  tl::unexpected<Error> Failure() {
-    if (error_) return tl::unexpected<Error>(*error_);
-    const char* reason = archive_ ? archive_error_string(archive_.get()) : nullptr;
-    return Fail(ErrorCode::kIo,
-                file_.name() + ": cannot write the zip: " + (reason ? reason : "out of memory"));
-  }
-
-  AtomicFile& file_;
+  StoredZip zip_;
   const RunContext* context_;
-  std::optional<Error> error_;
-  std::unique_ptr<archive, FreeArchive> archive_;
 };
 
 template <class T>
@@ -202,7 +145,7 @@ class NpzWriter final : public FileWriter {
   }
 
   Result<std::uint64_t> Complete() override try {
-    StoredZip zip(file(), context_);
+    NpzArchive zip(file(), context_);
     auto done = zip.Open();
     if (done) done = AddProvenance(zip);
     for (Array& array : arrays_) {
@@ -241,7 +184,7 @@ class NpzWriter final : public FileWriter {
     }
   }
 
-  Result<void> AddProvenance(StoredZip& zip) {
+  Result<void> AddProvenance(NpzArchive& zip) {
     std::u32string text = DecodeUtf8(header().provenance);
     const std::string type = "<U" + std::to_string(text.size());
     return zip.Add("provenance", NpyHeader(type, ""),
@@ -249,7 +192,7 @@ class NpzWriter final : public FileWriter {
                                          text.size() * sizeof(char32_t)));
   }
 
-  Result<void> AddArray(StoredZip& zip, Array& array) {
+  Result<void> AddArray(NpzArchive& zip, Array& array) {
     const ArrayKind& kind = *array.kind;
     std::string shape = std::to_string(header().count) + ",";
     if (kind.components > 1) shape += " " + std::to_string(kind.components);

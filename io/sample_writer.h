@@ -37,6 +37,9 @@ struct WriterResources {
   /// A `drc` output of more samples is a folder of tiles, each of at most as many; 1 to
   /// kMostTileSamples.
   std::uint64_t tile_samples = kDefaultTileSamples;
+  /// Where such an output is a stream or an open file, which cannot be a folder: the folder as a
+  /// zip of stored members, the manifest last, instead of an error.
+  bool tiles_in_zip = false;
 };
 
 /// Opens `path` for writing ("-" is standard output). The output appears under its name, whole,

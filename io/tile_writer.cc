@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "core/cell_octree.h"
+#include "io/atomic_file.h"
 #include "io/atomic_folder.h"
 #include "io/checked_writer.h"
 #include "io/draco_cloud.h"
@@ -14,6 +15,7 @@
 #include "io/format_writers.h"
 #include "io/output_place.h"
 #include "io/row_spooler.h"
+#include "io/stored_zip.h"
 #include "io/tile_place.h"
 #include "io/tile_scatter.h"
 #include "io/tileset_json.h"
@@ -214,6 +216,45 @@ class WholeFolder final : public TilePlace {
   bool has_tiles_ = false;
 };
 
+// The folder's files in a zip, for what can only be one file.
+class ZippedFolder final : public TilePlace {
+ public:
+  ZippedFolder(std::unique_ptr<AtomicFile> file, std::string head)
+      : file_(std::move(file)), zip_(*file_), head_(std::move(head)) {}
+
+  Result<void> Open() { return zip_.Open(); }
+  Result<void> AddTile(const std::string& path, std::string_view bytes) override {
+    if (auto begun = zip_.Begin(path, bytes.size()); !begun) return begun;
+    return zip_.Put({bytes.data(), bytes.size()});
+  }
+  Result<std::uint64_t> Finish(const std::vector<std::string>& entries) override {
+    auto done = AddTile(kTilesetName, TilesetText(head_, entries));
+    if (done) done = zip_.Close();
+    if (!done) return Forward(done);
+    return file_->Finish();
+  }
+  const std::string& name() const override { return file_->name(); }
+
+ private:
+  std::unique_ptr<AtomicFile> file_;
+  StoredZip zip_;
+  std::string head_;
+};
+
+Result<std::unique_ptr<TilePlace>> OpenZippedFolder(const std::string& path, std::string head) {
+  auto file = AtomicFile::Open(path);
+  if (!file) return Forward(file);
+  auto folder = std::make_unique<ZippedFolder>(std::move(*file), std::move(head));
+  if (auto opened = folder->Open(); !opened) return Forward(opened);
+  return folder;
+}
+
+Result<std::unique_ptr<TilePlace>> OpenWholeFolder(const std::string& path, std::string head) {
+  auto folder = AtomicFolder::Open(path, kTilesetName);
+  if (!folder) return Forward(folder);
+  return std::make_unique<WholeFolder>(std::move(*folder), std::move(head));
+}
+
 }  // namespace
 
 Result<void> CheckTiles(const std::string& name, const SampleHeader& header,
@@ -257,7 +298,8 @@ Result<std::unique_ptr<SampleWriter>> MakeTileWriter(std::unique_ptr<TilePlace> 
 Result<std::unique_ptr<SampleWriter>> MakeFolderWriter(const std::string& path,
                                                        const SampleHeader& header,
                                                        const WriterResources& resources) {
-  if (IsWrittenThrough(path)) {
+  const bool in_zip = IsWrittenThrough(path);
+  if (in_zip && !resources.tiles_in_zip) {
     return Fail(ErrorCode::kInvalidArgument,
                 (path == "-" ? "standard output" : path) + ": " + std::to_string(header.count) +
                     " samples, but one drc holds " + std::to_string(resources.tile_samples) +
@@ -266,10 +308,10 @@ Result<std::unique_ptr<SampleWriter>> MakeFolderWriter(const std::string& path,
   if (auto checked = CheckTiles(path, header, resources); !checked) return Forward(checked);
   auto head = HeadOfTiles(path, header, resources.tile_samples);
   if (!head) return Forward(head);
-  auto folder = AtomicFolder::Open(path, kTilesetName);
-  if (!folder) return Forward(folder);
-  return MakeTileWriter(std::make_unique<WholeFolder>(std::move(*folder), std::move(*head)), header,
-                        resources);
+  auto place =
+      in_zip ? OpenZippedFolder(path, std::move(*head)) : OpenWholeFolder(path, std::move(*head));
+  if (!place) return Forward(place);
+  return MakeTileWriter(std::move(*place), header, resources);
 }
 
 }  // namespace strata::io

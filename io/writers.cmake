@@ -18,6 +18,7 @@ target_sources(strata_io PRIVATE
   ${CMAKE_CURRENT_LIST_DIR}/sha256.cc
   ${CMAKE_CURRENT_LIST_DIR}/splat_canvas.cc
   ${CMAKE_CURRENT_LIST_DIR}/spool.cc
+  ${CMAKE_CURRENT_LIST_DIR}/stored_zip.cc
   ${CMAKE_CURRENT_LIST_DIR}/tile_scatter.cc
   ${CMAKE_CURRENT_LIST_DIR}/tile_writer.cc
   ${CMAKE_CURRENT_LIST_DIR}/tileset_json.cc

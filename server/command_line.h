@@ -32,6 +32,7 @@ struct SampleCommand {
   std::optional<std::uint64_t> memory;  ///< Bytes, at least kLeastMemory; absent = half of all.
   std::optional<std::string> scratch;   ///< Directory; absent = the system's.
   bool resume = false;                  ///< Go on with what a killed process left in scratch.
+  bool tiles_in_zip = false;            ///< A stream of more samples is a zip of tiles.
   bool checkpoints = true;              ///< Leave something to go on with, should it be killed.
   bool quiet = false;
 };

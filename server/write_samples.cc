@@ -37,6 +37,7 @@ io::WriterResources ResourcesOf(const SampleCommand& command, RunContext& contex
   io::WriterResources resources;
   resources.context = &context;
   resources.tile_samples = command.tile_samples;
+  resources.tiles_in_zip = command.tiles_in_zip;
   resources.memory = &context.memory();
   resources.scratch = context.scratch();
   return resources;

@@ -34,7 +34,9 @@ v1::SampleSummary SummaryOf(SampleCommand command, const JobReport& report,
   summary.set_cells(report.stats.cells);
   summary.set_edge(report.stats.lattice.edge);
   summary.set_surface_hash(report.stats.surface_hash);
-  summary.set_media_type(MediaTypeOf(command.format));
+  const bool tiles =
+      command.format == io::SampleFormat::kDraco && report.stats.survivors > command.tile_samples;
+  summary.set_media_type(tiles ? kZipMediaType : MediaTypeOf(command.format));
   summary.set_size_bytes(report.figures.write_bytes);
   command.input = input_name;
   command.output = "body";
@@ -61,6 +63,7 @@ Result<v1::SampleSummary> RunJob(const internal::WorkerJob& job, int mesh, int r
   auto command = CommandOf(job.options(), PathOf(mesh), PathOf(result));
   if (!command) return Forward(command);
   command->memory = job.memory_bytes();
+  command->tiles_in_zip = true;
   command->checkpoints = false;  // A job that is cut short is gone with all it had.
   command->options.threads = static_cast<int>(job.threads());
   if (!job.scratch().empty()) command->scratch = job.scratch();

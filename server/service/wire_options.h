@@ -26,6 +26,8 @@ Result<v1::SampleOptions> OptionsFromTexts(
 
 /// "drc" → "model/vnd.draco" and so on. Precondition: a name that CommandOf accepts.
 const char* MediaTypeOf(io::SampleFormat format);
+/// Of a drc of more samples than a tile: the folder of tiles as one body.
+inline constexpr const char* kZipMediaType = "application/zip";
 
 /// The names and media types of all formats, in the order in which the server prefers them.
 struct FormatName {

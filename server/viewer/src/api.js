@@ -47,17 +47,27 @@ async function request(path, init = {}) {
  * @param {Source} source
  * @param {string} query of queryOf
  * @param {AbortSignal} [signal] ends the request, and with it the job
- * @returns {Promise<{bytes: ArrayBuffer, summary: object, cached: boolean}>} bytes: as the API gave
- *     them
+ * @param {boolean} [one] whether only one file will do, and not a zip of tiles
+ * @returns {Promise<{bytes: ArrayBuffer, zip: boolean, summary: object, cached: boolean}>} bytes: as
+ *     the API gave them
  */
-export async function sample(source, query, signal) {
+export async function sample(source, query, signal, one = false) {
   const asked = source.model === undefined ?
       request(`/v1/samples?${query}`, {method: 'POST', body: source.file, signal}) :
       request(`/v1/samples?${modelQuery(source.model)}&${query}`, {signal});
   const response = await asked;
   const summary = JSON.parse(response.headers.get('Strata-Summary') ?? '{}');
   const cached = response.headers.get('Strata-Cache') === 'hit';
-  return {bytes: await response.arrayBuffer(), summary, cached};
+  const zip = response.headers.get('Content-Type') === 'application/zip';
+  if (zip && one) {
+    await response.body.cancel();
+    throw new ApiError({
+      title: 'Too many samples to draw',
+      detail: `${summary.samples.after_rejection.toLocaleString('en')} of them are a zip of tiles; ` +
+          'a coarser resolution has fewer.'
+    });
+  }
+  return {bytes: await response.arrayBuffer(), zip, summary, cached};
 }
 
 /** The stored models, as {name, size_bytes, …}; none when this server stores none. */

@@ -2,9 +2,8 @@
 import {ApiError, downloadModel, hasApiKey, listModels, sample, setApiKey} from './api.js';
 import {readAttributes, readOptions, reportInvalid, watchFiles, watchKeys, watchOptions, watchView} from './controls.js';
 import {MOST_BYTES, readMesh} from './mesh.js';
-import {outputName, queryOf} from './options.js';
-import {clearResult, saveFile, setState, showFigures, showProblem, showRepeat, showStatistics} from './panel.js';
-import {uniformSamples} from './uniform.js';
+import {outputName, queryOf, uniformOptions} from './options.js';
+import {clearResult, saveFile, setState, showFigures, showNames, showProblem, showRepeat, showStatistics} from './panel.js';
 import {frameOf, View} from './view.js';
 import {callerOf} from './worker_call.js';
 
@@ -27,6 +26,7 @@ const page = {
   mesh: null,
   options: null,
   samples: null,
+  uniform: null,  // As many beside them, once they were wanted.
   summary: null
 };
 let running = new AbortController();  // Of the request in flight: a newer one ends it.
@@ -72,10 +72,10 @@ async function run(text, work) {
 
 // --- Sampling ------------------------------------------------------------------------------------
 
-async function askServer(options, signal) {
+async function askServer(options, attributes, signal) {
   const start = performance.now();
-  const query = queryOf(options, 'drc', 'normal,cell,area');
-  const {bytes, summary, cached} = await sample(page.source, query, signal);
+  const query = queryOf(options, 'drc', attributes);
+  const {bytes, summary, cached} = await sample(page.source, query, signal, true);
   const received = performance.now(), size = bytes.byteLength;
   const samples = await decode({bytes}, [bytes]);
   const decoded = performance.now();
@@ -83,11 +83,17 @@ async function askServer(options, signal) {
   return {samples, summary, cost};
 }
 
-/** The uniform samples to stand beside `samples`, or null. */
-function uniformBeside(samples) {
-  if (!$('compare').checked || !page.mesh) return null;
-  return uniformSamples(
-      page.mesh.corners, samples.count, Number(BigInt(page.options.seed) % 4294967296n));
+/** The uniform samples to stand beside the stratified ones, or null. */
+async function uniformBeside(signal) {
+  if (!$('compare').checked || page.samples.count === 0) return null;
+  if (!page.uniform) {
+    const asked = page.samples;
+    const options = uniformOptions(page.options, asked.count);
+    const {samples} = await askServer(options, 'normal', signal);
+    if (page.samples === asked) page.uniform = samples;
+    return samples;
+  }
+  return page.uniform;
 }
 
 let measuring = Promise.resolve();
@@ -110,11 +116,12 @@ async function showMeasured(sets, edge, signal) {
 
 async function show(signal) {
   const {samples, summary} = page;
-  const uniform = uniformBeside(samples);
+  const uniform = await uniformBeside(signal);
+  if (signal.aborted) return;
   const sets = uniform ? [samples, uniform] : [samples];
   const {min, max} = summary.mesh.bounds;
   view.setSamples(sets, summary.lattice, page.mesh ? undefined : frameOf(min, max));
-  $('names').hidden = !uniform;
+  showNames(uniform ? uniform.count : null, samples.count);
   setState('ready', `${samples.count.toLocaleString('en')} samples`);
   await showMeasured(sets, summary.lattice.edge, signal);
 }
@@ -134,9 +141,9 @@ function resample() {
     return;
   }
   run('Sampling…', async (signal) => {
-    const {samples, summary, cost} = await askServer(options, signal);
+    const {samples, summary, cost} = await askServer(options, 'normal,cell,area', signal);
     if (signal.aborted) return;
-    Object.assign(page, {options, samples, summary});
+    Object.assign(page, {options, samples, uniform: null, summary});
     showProblem(null);
     showFigures(summary, cost);
     repeat();
@@ -155,7 +162,7 @@ function noteMesh() {
   const note = $('mesh-note');
   note.hidden = page.mesh !== null;
   note.textContent = 'This page cannot draw this file: only its samples are shown.';
-  for (const id of ['show-mesh', 'compare']) $(id).disabled = page.mesh === null;
+  $('show-mesh').disabled = page.mesh === null;
 }
 
 /**
@@ -169,7 +176,7 @@ function takeMesh(source, name, bytes) {
     const file = await bytes(signal);
     const mesh = file && await readMesh(file, name);
     if (signal.aborted) return;
-    Object.assign(page, {source, name, mesh, options: null, samples: null, summary: null});
+    Object.assign(page, {source, name, mesh, options: null, samples: null, uniform: null, summary: null});
     clearResult();
     const box = mesh?.geometry.boundingBox;
     view.setMesh(mesh?.geometry ?? null, box && frameOf(box.min.toArray(), box.max.toArray()));
@@ -215,6 +222,7 @@ function repeat() {
     mesh: page.name,
     stored: page.source.model !== undefined,
     options: page.options,
+    uniform: $('compare').checked ? page.samples.count : 0,
     attributes: readAttributes(),
     key: hasApiKey()
   });
@@ -224,8 +232,8 @@ async function download(format) {
   const {source, name, options} = page;  // As they are now: another mesh may come meanwhile.
   setState('busy', `Preparing ${format}…`);
   try {
-    const {bytes} = await sample(source, queryOf(options, format, readAttributes()));
-    saveFile(bytes, outputName(name, format));
+    const {bytes, zip} = await sample(source, queryOf(options, format, readAttributes()));
+    saveFile(bytes, outputName(name, zip ? 'zip' : format));
     showProblem(null);
     setState('ready', `${bytes.byteLength.toLocaleString('en')} bytes`);
   } catch (error) {
@@ -247,7 +255,9 @@ function start() {
   watchFiles(takeFile);
   watchView((changes) => {
     view.configure(changes);
-    if ('compare' in changes) showAgain();
+    if (!('compare' in changes)) return;
+    repeat();
+    showAgain();
   });
   $('model').addEventListener('change', takeModel);
   $('api-key').addEventListener('change', () => {

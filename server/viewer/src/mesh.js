@@ -1,5 +1,5 @@
-// Reads a mesh in the browser, to draw it and to draw uniform samples from it. The samples on
-// screen never depend on this: they are the server's.
+// Reads a mesh in the browser, to draw it. The samples on screen never depend on this: they are the
+// server's.
 import {BufferAttribute, BufferGeometry} from 'three';
 import {OBJLoader} from 'three/addons/loaders/OBJLoader.js';
 import {PLYLoader} from 'three/addons/loaders/PLYLoader.js';
@@ -60,8 +60,8 @@ async function parse(file, format) {
 /**
  * @param {Blob} file
  * @param {string} name
- * @returns {Promise<{geometry: BufferGeometry, corners: Float32Array}|null>} null: not one that the
- *     page reads (or that is well-formed); the server then says what is wrong, if anything is
+ * @returns {Promise<{geometry: BufferGeometry}|null>} null: not one that the page reads (or that is
+ *     well-formed); the server then says what is wrong, if anything is
  */
 export async function readMesh(file, name) {
   try {
@@ -75,7 +75,7 @@ export async function readMesh(file, name) {
     geometry.setAttribute('position', new BufferAttribute(corners, 3));
     geometry.computeVertexNormals();
     geometry.computeBoundingBox();
-    return {geometry, corners};
+    return {geometry};
   } catch {
     return null;
   }

@@ -4,9 +4,13 @@
 /** Names as in strata.v1.SampleOptions; the order is that of the command line shown. */
 export const OPTION_NAMES = ['resolution', 'lambda', 'min_distance', 'seed', 'integrator'];
 
+/** The names in `options`: those of the form, or those of uniformOptions. */
+const namesIn = (options) =>
+    ['method', 'count', ...OPTION_NAMES].filter((name) => options[name] !== undefined);
+
 /**
  * @typedef {{resolution: string, lambda: string, min_distance: string, seed: string,
- *             integrator: string}} Options
+ *             integrator: string}} Options as the form has them; uniformOptions has others
  */
 
 /**
@@ -17,10 +21,19 @@ export const OPTION_NAMES = ['resolution', 'lambda', 'min_distance', 'seed', 'in
  */
 export function queryOf(options, format, attributes) {
   const query = new URLSearchParams();
-  for (const name of OPTION_NAMES) query.set(name, options[name]);
+  for (const name of namesIn(options)) query.set(name, options[name]);
   query.set('format', format);
   query.set('attributes', attributes);
   return query.toString().replaceAll('%2C', ',').replaceAll('+', '%20');
+}
+
+/**
+ * The options of uniform samples beside those of `options`: as many, with the same lattice and seed.
+ * @param {Options} options
+ * @param {number} count
+ */
+export function uniformOptions({resolution, seed}, count) {
+  return {method: 'uniform', count: String(count), resolution, seed};
 }
 
 /** The part of a query that names a stored model. */
@@ -38,18 +51,21 @@ function shellFile(name) {
   return shellWord(name.startsWith('-') ? `./${name}` : name);
 }
 
-/** The mesh's name with the suffix of the samples' format. */
-export function outputName(mesh, format) {
+/** The mesh's name with what the samples are and the suffix of their format. */
+export function outputName(mesh, format, what = 'samples') {
   const stem = mesh.replace(/^.*[/\\]/, '').replace(/\.(gz|zst)$/i, '').replace(/\.[^.]*$/, '');
-  return `${stem || 'mesh'}-samples.${format}`;
+  return `${stem || 'mesh'}-${what}.${format}`;
 }
+
+const outputOf = (mesh, options, format) =>
+    shellFile(outputName(mesh, format, options.method === 'uniform' ? 'uniform' : 'samples'));
 
 /** The command that writes the same bytes. */
 export function commandLine(mesh, options, format, attributes) {
   const flags =
-      OPTION_NAMES.map((name) => `--${name.replaceAll('_', '-')} ${shellWord(options[name])}`);
+      namesIn(options).map((name) => `--${name.replaceAll('_', '-')} ${shellWord(options[name])}`);
   return [
-    'strata sample', shellFile(mesh), '-o', shellFile(outputName(mesh, format)), ...flags,
+    'strata sample', shellFile(mesh), '-o', outputOf(mesh, options, format), ...flags,
     `--attributes ${attributes}`
   ].join(' ');
 }
@@ -65,6 +81,6 @@ export function curlLine(mesh, options, format, attributes, {origin, key, stored
   if (!stored) words.push('-X POST -T', shellFile(mesh));
   const model = stored ? `${modelQuery(mesh)}&` : '';
   const address = `${origin}/v1/samples?${model}${queryOf(options, format, attributes)}`;
-  words.push('-o', shellFile(outputName(mesh, format)), shellWord(address));
+  words.push('-o', outputOf(mesh, options, format), shellWord(address));
   return words.join(' ');
 }

@@ -1,5 +1,5 @@
 // What the page says beside the picture: figures, plots, problems, how to do it again.
-import {commandLine, curlLine} from './options.js';
+import {commandLine, curlLine, uniformOptions} from './options.js';
 import {plot} from './plot.js';
 
 const $ = (id) => document.getElementById(id);
@@ -96,6 +96,20 @@ export function showStatistics(all) {
   showSpectrum(all);
 }
 
+/**
+ * Names the two halves of the picture.
+ * @param {number|null} uniform how many samples; null: there is no half of them
+ * @param {number} stratified
+ */
+export function showNames(uniform, stratified) {
+  const names = $('names');
+  names.hidden = uniform === null;
+  if (names.hidden) return;
+  const [left, right] = names.children;
+  left.textContent = `uniform, ${whole.format(uniform)}`;
+  right.textContent = `stratified, ${whole.format(stratified)}`;
+}
+
 /** Takes away what was said of the mesh before. */
 export function clearResult() {
   $('figures').replaceChildren();
@@ -105,15 +119,19 @@ export function clearResult() {
 }
 
 /**
- * @param {{mesh: string, stored: boolean, options: object, attributes: string, key: boolean}}
- *     shown
+ * A line for each set on screen.
+ * @param {{mesh: string, stored: boolean, options: object, uniform: number, attributes: string,
+ *     key: boolean}} shown uniform: how many stand beside the stratified ones; 0: they do not
  */
-export function showRepeat({mesh, stored, options, attributes, key}) {
+export function showRepeat({mesh, stored, options, uniform, attributes, key}) {
   const format = $('repeat-format').value;
   $('repeat').hidden = false;
-  $('command').value = commandLine(mesh, options, format, attributes);
+  const sets = uniform ? [options, uniformOptions(options, uniform)] : [options];
+  const lines = (line) => sets.map(line).join('\n');
+  $('command').value = lines((set) => commandLine(mesh, set, format, attributes));
   const {origin} = window.location;
-  $('curl').value = curlLine(mesh, options, format, attributes, {origin, key, stored});
+  $('curl').value =
+      lines((set) => curlLine(mesh, set, format, attributes, {origin, key, stored}));
 }
 
 /** Hands bytes to the browser as a file. */

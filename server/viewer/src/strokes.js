@@ -3,7 +3,7 @@
 // stroke's, and the strokes are blended over each other, the furthest first.
 import {BufferAttribute, DynamicDrawUsage, InstancedBufferAttribute, InstancedBufferGeometry, Mesh, ShaderMaterial, Vector2, Vector3} from 'three';
 
-import {randomFrom} from './uniform.js';
+import {randomFrom} from './random.js';
 
 const VERTEX = `
   uniform sampler2D depths;  // Of the surface, as this camera sees it.

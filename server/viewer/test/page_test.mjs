@@ -234,6 +234,30 @@ test('uniform samples stand beside the stratified ones', async () => {
   assert.ok(left > 5000 && right > 5000 && right > left, `left ${left}, right ${right}`);
 });
 
+test('both sides have the same number of points, the uniform ones from the service', async () => {
+  const page = await openWith(SPOT);
+  await page.check('#compare');
+  await page.waitForSelector('#distances .series-1');
+  await settled(page);
+  const samples = await figure(page, 'Samples');
+  const said = await page.$$eval('#names span', (all) => all.map((one) => one.textContent));
+  const counts = said.map((text) => Number(text.replace(/[^0-9]/g, '')));
+  assert.deepEqual(counts, [samples, samples], said.join('; '));
+  const asked = viewer.asked.filter((address) => address.includes('method=uniform'));
+  assert.equal(asked.length, 1, asked.join('\n'));
+  assert.match(asked[0], new RegExp(`count=${samples}&`));
+  const commands = (await page.inputValue('#command')).split('\n');
+  assert.equal(commands.length, 2);
+  assert.match(commands[1], new RegExp(`-o spot-uniform.* --method uniform --count ${samples} `));
+  const [, curl] = (await page.inputValue('#curl')).split('\n');
+  const address = /'(http[^']*)'/.exec(curl)[1];
+  const answer = await fetch(address, {method: 'POST', body: readFileSync(SPOT)});
+  assert.equal(answer.status, 200);
+  assert.equal(JSON.parse(answer.headers.get('Strata-Summary')).options.count, samples);
+  await page.uncheck('#compare');
+  assert.equal((await page.inputValue('#command')).split('\n').length, 1);
+});
+
 // --- Results -------------------------------------------------------------------------------------
 
 test('downloads have the bytes of the API and of the command', async () => {

@@ -1,11 +1,11 @@
-// What needs no browser: the texts that repeat a request, uniform samples, statistics.
+// What needs no browser: the texts that repeat a request, statistics.
 import assert from 'node:assert/strict';
 import {test} from 'node:test';
 
 import {NeighbourGrid} from '../src/neighbours.js';
-import {commandLine, curlLine, outputName, queryOf, shellWord} from '../src/options.js';
+import {commandLine, curlLine, outputName, queryOf, shellWord, uniformOptions} from '../src/options.js';
+import {randomFrom} from '../src/random.js';
 import {flatPatches, nearestDistances, radialSpectrum, statisticsOf} from '../src/statistics.js';
-import {randomFrom, uniformSamples} from '../src/uniform.js';
 
 const OPTIONS = {
   resolution: '64',
@@ -31,6 +31,18 @@ test('the request names the same options in the words of the wire', () => {
   assert.match(line, /min_distance=0\.5&seed=18446744073709551615/);
 });
 
+test('uniform samples are repeated by their number, lattice and seed', () => {
+  const options = uniformOptions(OPTIONS, 1234);
+  assert.equal(
+      commandLine('spot.obj', options, 'ply', 'none'),
+      'strata sample spot.obj -o spot-uniform.ply --method uniform --count 1234 --resolution 64 ' +
+          '--seed 18446744073709551615 --attributes none');
+  assert.equal(
+      queryOf(options, 'drc', 'normal'),
+      'method=uniform&count=1234&resolution=64&seed=18446744073709551615&format=drc&' +
+          'attributes=normal');
+});
+
 test('the request for a stored model names it and sends nothing', () => {
   const line = curlLine('a b/+.obj', OPTIONS, 'drc', 'none', {origin: 'http://h:1', stored: true});
   assert.ok(
@@ -44,21 +56,6 @@ test('a file name cannot leave its word in the shell', () => {
   assert.match(
       commandLine('-x.obj', OPTIONS, 'ply', 'none'), /^strata sample \.\/-x\.obj -o \.\/-x-/);
   assert.equal(outputName('dir/a.ply.gz', 'npz'), 'a-samples.npz');
-});
-
-/** A unit square in the plane z = 0 as corners. */
-const SQUARE = new Float32Array([0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 0, 0, 1, 1, 0, 0, 1, 0]);
-
-test('uniform samples fill triangles by area and repeat with their seed', () => {
-  // Beside the square a triangle of a quarter of its area, at z = 1.
-  const corners = new Float32Array([...SQUARE, 0, 0, 1, 0.5, 0, 1, 0, 1, 1]);
-  const samples = uniformSamples(corners, 50000, SEED);
-  const above = samples.position.filter((z, i) => i % 3 === 2 && z === 1).length;
-  const expected = 10000, sigma = Math.sqrt(50000 * 0.2 * 0.8);
-  assert.ok(Math.abs(above - expected) < 5 * sigma, `seed ${SEED}: ${above} of 50000`);
-  assert.deepEqual(samples, uniformSamples(corners, 50000, SEED));
-  assert.notDeepEqual(samples.position, uniformSamples(corners, 50000, SEED + 1).position);
-  assert.equal(uniformSamples(new Float32Array(9), 5, SEED), null, 'a mesh without area');
 });
 
 test('the nearest distances are those of brute force', () => {
@@ -93,9 +90,12 @@ test('a lattice has equal distances and power at its own frequency', () => {
   assert.ok(lowest < 0.2, `power ${lowest} at ${spectrum.frequency[0]}`);
 });
 
-test('uniform samples have white noise for a spectrum and Rayleigh distances', () => {
-  const corners = SQUARE.map((x) => x * 60);
-  const samples = uniformSamples(corners, 3600, SEED);
+test('uniform points have white noise for a spectrum and Rayleigh distances', () => {
+  const random = randomFrom(SEED), count = 3600;
+  const position =
+      Float32Array.from({length: 3 * count}, (_, i) => i % 3 === 2 ? 0 : random() * 60);
+  const normal = Float32Array.from({length: 3 * count}, (_, i) => i % 3 === 2 ? 1 : 0);
+  const samples = {count, position, normal};
   const grid = new NeighbourGrid(samples.position, 1);
   const {mean, variation} = nearestDistances(grid, 1);
   assert.ok(Math.abs(mean - 0.5) < 0.03, `seed ${SEED}: mean ${mean}, 1/2 for one a square edge`);

@@ -1,4 +1,5 @@
 """A service of the test's own on loopback, and raw sockets to it."""
+import io
 import json
 import os
 import pathlib
@@ -11,6 +12,7 @@ import tempfile
 import threading
 import time
 import unittest
+import zipfile
 
 ARGUMENTS = {}  # Set by main().
 PATIENCE = 60.0  # Seconds for what normally takes milliseconds; only a hang reaches it.
@@ -176,6 +178,26 @@ def sample_by_command(mesh, suffix, *options):
         output = pathlib.Path(folder) / f'out.{suffix}'
         subprocess.run([strata(), 'sample', mesh, '-o', output, '--quiet', *options], check=True)
         return output.read_bytes()
+
+
+def tiles_by_command(mesh, *options):
+    """The files of the folder that `strata sample` writes, by their paths in it."""
+    with tempfile.TemporaryDirectory() as folder:
+        output = pathlib.Path(folder) / 'out.drc'
+        subprocess.run([strata(), 'sample', mesh, '-o', output, '--quiet', *options], check=True)
+        return {str(file.relative_to(output)): file.read_bytes()
+                for file in output.rglob('*') if file.is_file()}
+
+
+def tiles_in_zip(body):
+    """The files of a zip of tiles, by their paths; what makes its bytes repeatable is checked."""
+    with zipfile.ZipFile(io.BytesIO(body)) as archive:
+        members = archive.infolist()
+        assert archive.testzip() is None
+        assert all(member.compress_type == zipfile.ZIP_STORED for member in members)
+        assert all(member.date_time == (1980, 1, 1, 0, 0, 0) for member in members)
+        assert members[-1].filename == 'tileset.json'
+        return {member.filename: archive.read(member) for member in members}
 
 
 def spot():

@@ -6,7 +6,7 @@ import pathlib
 import re
 
 import harness
-from harness import CUBE, ServerCase, sample_by_command, spot
+from harness import CUBE, ServerCase, sample_by_command, spot, tiles_by_command, tiles_in_zip
 
 
 class Samples(ServerCase):
@@ -46,6 +46,22 @@ class Samples(ServerCase):
             expected = sample_by_command(spot(), 'ply', '--method', 'uniform', *flags)
             self.assertEqual(answer.status, 200, answer.body)
             self.assertTrue(answer.body == expected, query)
+
+    def test_more_samples_than_a_tile_are_the_folder_of_tiles_in_a_zip(self):
+        query = '/v1/samples?resolution=40&tile_samples=500'
+        answer = self.server.curl(query, body=spot().read_bytes())
+        self.assertEqual(answer.status, 200, answer.body)
+        self.assertEqual(answer.headers['content-type'], 'application/zip')
+        self.assertEqual(int(answer.headers['content-length']), len(answer.body))
+        expected = tiles_by_command(spot(), '--resolution', '40', '--tile-samples', '500')
+        self.assertGreater(len(expected), 5)
+        self.assertEqual(sorted(tiles_in_zip(answer.body)), sorted(expected))
+        self.assertTrue(tiles_in_zip(answer.body) == expected, 'other bytes than the command')
+        for run in ('threads=1', 'memory=67108864'):
+            again = self.server.curl(f'{query}&{run}', body=spot().read_bytes())
+            self.assertTrue(again.body == answer.body, run)
+        one = self.server.curl('/v1/samples?resolution=40', body=spot().read_bytes())
+        self.assertEqual(one.headers['content-type'], 'model/vnd.draco')
 
     def test_how_it_runs_changes_no_byte(self):
         expected = sample_by_command(spot(), 'ply', '--resolution', '30')
@@ -130,11 +146,6 @@ class Problems(ServerCase):
                 ('scratch=/tmp', "unknown option 'scratch'")]:
             answer = self.server.curl(f'/v1/samples?{query}', body=CUBE)
             self.assertProblem(answer, 400, 'invalid-argument', words)
-
-    def test_a_result_that_needs_tiles_is_refused_with_a_way_out(self):
-        answer = self.server.curl('/v1/samples?resolution=20&tile_samples=100', body=CUBE)
-        self.assertIn(answer.status, (400, 413), answer.body)
-        self.assertIn('tile', answer.json()['detail'])
 
     def test_what_no_endpoint_takes_is_said_with_what_it_does(self):
         self.assertProblem(self.server.curl('/nowhere'), 404, 'no-such-endpoint', '/nowhere')

@@ -9,7 +9,7 @@ import threading
 import grpc
 
 import harness
-from harness import CUBE, ServerCase, sample_by_command, spot
+from harness import CUBE, ServerCase, sample_by_command, spot, tiles_by_command, tiles_in_zip
 
 STUBS = tempfile.TemporaryDirectory()
 CHUNK = 1 << 20
@@ -95,6 +95,18 @@ class Sampling(RpcCase):
             self.assertEqual(summary.size_bytes, len(command))
             self.assertEqual(summary.media_type, http.headers['content-type'])
             self.assertEqual(kinds, ['progress', 'chunk', 'summary'])
+
+    def test_uniform_samples_and_tiles_are_those_of_the_command(self):
+        mesh = spot().read_bytes()
+        body, summary, _ = self.sample(
+            self.requests(mesh, method='uniform', count=2500, format='npz'))
+        self.assertTrue(body == sample_by_command(spot(), 'npz', '--method', 'uniform',
+                                                  '--count', '2500'))
+        self.assertEqual((summary.samples, summary.cells), (2500, 0))
+        body, summary, _ = self.sample(self.requests(mesh, resolution=40, tile_samples=500))
+        expected = tiles_by_command(spot(), '--resolution', '40', '--tile-samples', '500')
+        self.assertTrue(tiles_in_zip(body) == expected)
+        self.assertEqual((summary.media_type, summary.size_bytes), ('application/zip', len(body)))
 
     def test_chunks_of_any_size_give_the_same_bytes(self):
         expected = self.sample(self.requests(CUBE, resolution=9, format='ply'))[0]

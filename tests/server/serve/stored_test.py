@@ -7,7 +7,8 @@ import tempfile
 import unittest
 
 import harness
-from harness import CUBE, LONG_MODEL, Server, ServerCase, sample_by_command, spot
+from harness import (CUBE, LONG_MODEL, Server, ServerCase, sample_by_command, spot, tiles_by_command,
+                     tiles_in_zip)
 
 
 class StoredCase(unittest.TestCase):
@@ -116,6 +117,31 @@ class Results(StoredCase):
         self.assertEqual((third.status, third.body), (304, b''))
         self.assertGreaterEqual(self.server.metric('strata_cache_total{outcome="hit"}'), 2)
 
+    def test_tiles_in_a_zip_are_cached_and_ranged_like_any_result(self):
+        path = '/v1/samples?model=spot.obj&resolution=40&tile_samples=600'
+        first, second = self.server.curl(path), self.server.curl(path)
+        expected = tiles_by_command(spot(), '--resolution', '40', '--tile-samples', '600')
+        self.assertTrue(tiles_in_zip(first.body) == expected)
+        self.assertEqual((first.headers['strata-cache'], second.headers['strata-cache']),
+                         ('miss', 'hit'))
+        for answer in (first, second):
+            self.assertEqual(answer.headers['content-type'], 'application/zip')
+        self.assertTrue(second.body == first.body)
+        etag = first.headers['etag']
+        part = self.server.curl(path, '-H', 'Range: bytes=100-299', '-H', f'If-Range: {etag}')
+        self.assertEqual((part.status, part.body), (206, first.body[100:300]))
+        self.assertEqual(self.server.curl(path, '-H', f'If-None-Match: {etag}').status, 304)
+
+    def test_uniform_samples_are_cached_by_what_decides_them(self):
+        path = '/v1/samples?model=spot.obj&method=uniform&format=ply'
+        first = self.server.curl(f'{path}&count=700')
+        again = self.server.curl(f'{path}&count=700&memory=67108864')
+        other = self.server.curl(f'{path}&count=701')
+        self.assertTrue(first.body == sample_by_command(spot(), 'ply', '--method', 'uniform',
+                                                        '--count', '700'))
+        self.assertEqual([answer.headers['strata-cache'] for answer in (first, again, other)],
+                         ['miss', 'hit', 'miss'])
+
     def test_a_broken_model_says_so_each_time(self):
         self.put('broken.ply', b'ply\nformat ascii 1.0\nelement vertex x\n')
         for _ in range(2):
@@ -140,6 +166,17 @@ class Jobs(StoredCase):
         part = self.server.curl(made.headers['location'] + '/result', '-H', 'Range: bytes=-7',
                                 '-H', f'If-Range: {result.headers["etag"]}')
         self.assertEqual((part.status, part.body), (206, result.body[-7:]))
+
+    def test_a_job_of_more_samples_than_a_tile_ends_with_a_zip(self):
+        options = {'resolution': 40, 'tile_samples': '700'}
+        made = self.post_job({'model': 'spot.obj', 'options': options}).json()
+        done = self.server.curl(f'/v1/jobs/{made["id"]}?wait=60').json()
+        self.assertEqual(done['state'], 'succeeded', done)
+        self.assertEqual(done['summary']['media_type'], 'application/zip')
+        result = self.server.curl(f'/v1/jobs/{made["id"]}/result')
+        self.assertEqual(result.headers['content-type'], 'application/zip')
+        expected = tiles_by_command(spot(), '--resolution', '40', '--tile-samples', '700')
+        self.assertTrue(tiles_in_zip(result.body) == expected)
 
     def test_a_failed_job_carries_its_problem(self):
         self.put('bad.ply', b'ply\nformat ascii 1.0\nelement vertex x\n')
