@@ -8,10 +8,10 @@ set(strata_public_headers
   io/open_mesh.h io/sample_writer.h)
 foreach(header IN LISTS strata_public_headers)
   get_filename_component(folder ${header} DIRECTORY)
-  install(FILES ${header} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/strata/${folder})
+  install(FILES ${header} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/strata/${folder} COMPONENT dev)
 endforeach()
 install(FILES ${PROJECT_BINARY_DIR}/generated/core/version.h
-  DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/strata/core)
+  DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/strata/core COMPONENT dev)
 
 add_library(strata_both INTERFACE)
 target_link_libraries(strata_both INTERFACE strata_core strata_io)
@@ -28,14 +28,16 @@ add_library(strata::strata ALIAS strata_both)
 # strata_compile holds flags for this build; it is exported because the libraries name it, and it
 # carries nothing into an installed target's users.
 install(TARGETS strata_core strata_io strata_both strata_compile EXPORT strataTargets
-  ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
-install(TARGETS strata RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+  ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT dev)
+install(TARGETS strata RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT strata)
 if(STRATA_SERVICE)
-  install(TARGETS strata_serve_program RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+  install(TARGETS strata_serve_program RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR}
+    COMPONENT strata)
 endif()
 
 set(strata_package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/strata)
-install(EXPORT strataTargets NAMESPACE strata:: DESTINATION ${strata_package_folder})
+install(EXPORT strataTargets NAMESPACE strata:: DESTINATION ${strata_package_folder}
+  COMPONENT dev)
 configure_package_config_file(cmake/strataConfig.cmake.in
   ${PROJECT_BINARY_DIR}/strataConfig.cmake INSTALL_DESTINATION ${strata_package_folder})
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/strataConfigVersion.cmake
@@ -44,4 +46,4 @@ install(FILES
   ${PROJECT_BINARY_DIR}/strataConfig.cmake
   ${PROJECT_BINARY_DIR}/strataConfigVersion.cmake
   cmake/StrataLibraryDependencies.cmake
-  DESTINATION ${strata_package_folder})
+  DESTINATION ${strata_package_folder} COMPONENT dev)

@@ -43,6 +43,7 @@ class HelpFormatter : public CLI::Formatter {
 #ifdef STRATA_SERVICE
            "       strata serve [options]\n"
            "       strata key NAME [--role full|read]\n"
+           "       strata health [URL]\n"
 #endif
            "       strata COMMAND --help\n";
   }
@@ -158,7 +159,7 @@ Result<void> RefuseExtras(const CLI::App& app, const CLI::App* command) {
   }
   std::vector<std::string> names = {"sample", "scan", "merge", "info", "--help", "--version"};
 #ifdef STRATA_SERVICE
-  names.insert(names.end(), {"serve", "key"});
+  names.insert(names.end(), {"serve", "key", "health"});
 #endif
   for (const CLI::Option* option : command ? command->get_options() : app.get_options()) {
     for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
@@ -434,6 +435,18 @@ Result<Command> ConvertInfo(const RawInfo& raw) {
 }
 
 }  // namespace
+
+std::vector<CommandText> DescribeCommands() {
+  RawSample raw;
+  RawInfo raw_info;
+  const auto app = MakeApp();
+  std::vector<CommandText> all = {Describe(*app, "")};
+  for (const CLI::App* const command :
+       {AddSample(*app, raw), AddScan(*app, raw), AddMerge(*app, raw), AddInfo(*app, raw_info)}) {
+    all.push_back(Describe(*command, command->get_name()));
+  }
+  return all;
+}
 
 Result<SampleCommand> CheckSample(const RawSample& raw) {
   SampleCommand command;

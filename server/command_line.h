@@ -14,6 +14,7 @@
 #include "core/sample_mesh.h"
 #include "core/scan.h"
 #include "io/sample_writer.h"
+#include "server/command_text.h"
 #include "server/option_table.h"
 
 namespace strata::server {
@@ -73,6 +74,9 @@ using Command = std::variant<SampleCommand, ScanCommand, MergeCommand, InfoComma
 /// Errors: kInvalidArgument, for one problem at a time; the message names the option, what was
 /// found, its range and its default, or the nearest name for one that does not exist.
 Result<Command> ParseCommandLine(std::span<const std::string> arguments);
+
+/// `strata` itself, then its commands that ParseCommandLine knows, as --help prints them.
+std::vector<CommandText> DescribeCommands();
 
 /// The one place where the texts of a `sample` become values, whoever sent them.
 /// Errors: kInvalidArgument, as ParseCommandLine.

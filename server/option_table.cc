@@ -28,7 +28,7 @@ constexpr std::array<OptionRow, 21> kOptionRows = {{
      "Height of the paper's octree: edge 2R / 2^(H-1), R the radius of\n"
      "the minimum enclosing ball. 1 to 30.",
      &RawSample::height},
-    {"--method", "NAME", kHow,
+    {"--method", "stratified|uniform", kHow,
      "stratified: one sample per occupied cell, then the minimum\n"
      "distance; uniform: independent samples, uniform by area.\n"
      "Default stratified.",
@@ -50,7 +50,7 @@ constexpr std::array<OptionRow, 21> kOptionRows = {{
      "Same surface, options and seed: same samples.\n"
      "0 to 18446744073709551615; default 0.",
      &RawSample::seed},
-    {"--integrator", "NAME", kHow,
+    {"--integrator", "exact|subdivide", kHow,
      "exact: the law itself; subdivide: the paper's own approximation.\n"
      "Default exact.",
      &RawSample::integrator},
@@ -58,7 +58,7 @@ constexpr std::array<OptionRow, 21> kOptionRows = {{
      "The file to write; - is standard output. Needed. It appears whole\n"
      "or not at all.",
      &RawSample::output},
-    {"--format", "NAME", kWhat,
+    {"--format", "drc|ply|xyz|npz", kWhat,
      "drc (Draco), ply (binary), xyz (text) or npz (NumPy).\n"
      "Default: from OUTPUT's suffix.",
      &RawSample::format},

@@ -24,7 +24,9 @@ void OccupyStandardStreams() {
 
 }  // namespace
 
-bool IsServiceCommand(std::string_view name) { return name == "serve" || name == "key"; }
+bool IsServiceCommand(std::string_view name) {
+  return name == "serve" || name == "key" || name == "health";
+}
 
 int Report(const Error& error, int signal) {
   std::fprintf(stderr, "strata: %s\n", error.message.c_str());

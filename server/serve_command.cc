@@ -19,6 +19,7 @@
 #include "server/rpc/rpc_server.h"
 #include "server/serve_config.h"
 #include "server/service/stored_service.h"
+#include "server/systemd_notify.h"
 
 namespace strata::server {
 namespace {
@@ -119,6 +120,7 @@ struct Running {
 void Drain(Running& running, const sigset_t& signals, std::uint32_t seconds) {
   Log(LogLevel::kInfo, "draining",
       {{"requests", std::uint64_t{running.service->requests_in_flight()}}});
+  NotifySystemd("STOPPING=1");
   running.service->Drain();
   if (running.rpc) running.rpc->StopServing();
   if (running.http) running.http->StopAccepting();
@@ -173,24 +175,10 @@ Result<void> RunServe(std::span<const std::string> arguments) {
        {"keys", command.keys.empty() ? "none" : "file"},
        {"jobs", std::uint64_t{command.limits.jobs.jobs}},
        {"job_memory", command.limits.job_memory_bytes}});
+  NotifySystemd("READY=1");
   int received = 0;
   sigwait(&signals, &received);
   Drain(running, signals, command.drain_seconds);
-  return {};
-}
-
-Result<void> RunKey(std::span<const std::string> arguments) {
-  const bool good = arguments.size() == 1 || (arguments.size() == 3 && arguments[1] == "--role");
-  const std::string role = arguments.size() == 3 ? arguments[2] : "full";
-  if (!good || (role != "full" && role != "read")) {
-    return Fail(ErrorCode::kInvalidArgument, "expected: strata key NAME [--role full|read]");
-  }
-  const auto made = MakeKey(arguments[0], role == "full" ? Role::kFull : Role::kRead);
-  if (!made) return Forward(made);
-  std::fprintf(stderr, "The key, shown this once: %s\n", made->key.c_str());
-  if (std::printf("%s\n", made->line.c_str()) < 0 || std::fflush(stdout) != 0) {
-    return Fail(ErrorCode::kIo, "cannot write to standard output");
-  }
   return {};
 }
 

@@ -7,6 +7,7 @@
 #include <CLI/Formatter.hpp>
 #include <algorithm>
 #include <filesystem>
+#include <memory>
 #include <sstream>
 #include <thread>
 
@@ -247,7 +248,29 @@ void AddOption(CLI::App& app, const ServeOption& option, ServeTexts& given) {
   added->option_text(option.value)->group(option.group);
 }
 
+std::unique_ptr<CLI::App> MakeServeApp(std::optional<std::string>& file, ServeTexts& given) {
+  auto app = std::make_unique<CLI::App>(
+      "Serves sampling over HTTP and gRPC until SIGTERM or Ctrl-C.", "strata serve");
+  app->set_help_flag("-h,--help", "Print this and stop.");
+  app->get_formatter()->column_width(27);
+  app->add_option_function<std::string>(
+         "--config", [&file](const std::string& text) { file = text; },
+         "These options as TOML, `name = value`; the command line goes\nbefore it. Default "
+         "strata.toml if there is one.")
+      ->option_text("FILE");
+  for (const ServeOption& option : ServeOptions()) AddOption(*app, option, given);
+  return app;
+}
+
 }  // namespace
+
+CommandText DescribeServe() {
+  std::optional<std::string> file;
+  ServeTexts given;
+  CommandText text = Describe(*MakeServeApp(file, given), "serve");
+  text.usage = "strata serve [options]\n";
+  return text;
+}
 
 Result<ServeTexts> ReadServeFile(const std::string& path) {
   ServeTexts texts;
@@ -299,23 +322,15 @@ Result<ServeCommand> CheckServe(const ServeTexts& texts) {
 }
 
 Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments) {
-  CLI::App app("Serves sampling over HTTP and gRPC until SIGTERM or Ctrl-C.", "strata serve");
-  app.set_help_flag("-h,--help", "Print this and stop.");
-  app.get_formatter()->column_width(27);
   std::optional<std::string> file;
   ServeTexts given;
-  app.add_option_function<std::string>(
-         "--config", [&file](const std::string& text) { file = text; },
-         "These options as TOML, `name = value`; the command line goes\nbefore it. Default "
-         "strata.toml if there is one.")
-      ->option_text("FILE");
-  for (const ServeOption& option : ServeOptions()) AddOption(app, option, given);
+  const auto app = MakeServeApp(file, given);
   std::vector<std::string> words = WithValues(arguments);
   std::ranges::reverse(words);  // CLI11 takes its vector back to front.
   try {
-    app.parse(words);
+    app->parse(words);
   } catch (const CLI::CallForHelp&) {
-    return std::variant<ServeCommand, ShowText>(ShowText{app.help()});
+    return std::variant<ServeCommand, ShowText>(ShowText{app->help()});
   } catch (const CLI::Error& error) {
     return Invalid(std::string(error.what()) + "; see strata serve --help");
   }

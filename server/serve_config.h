@@ -45,6 +45,9 @@ struct ServeCommand {
 /// Errors: kInvalidArgument, naming option or file and line; kNotFound.
 Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments);
 
+/// What `strata serve --help` prints.
+CommandText DescribeServe();
+
 /// The texts of a TOML file: `name = value`, no tables; lists where an option may be repeated.
 /// Errors: kInvalidArgument, kNotFound.
 Result<ServeTexts> ReadServeFile(const std::string& path);

@@ -1,4 +1,4 @@
-// The program behind `strata serve` and `strata key`, and its own workers.
+// The program behind `strata serve`, `strata key` and `strata health`, and its own workers.
 #include <span>
 #include <string>
 #include <vector>
@@ -7,6 +7,7 @@
 #include "server/serve_command.h"
 #include "server/service/job_process.h"
 #include "server/service/worker.h"
+#include "server/service_tools.h"
 
 namespace strata::server {
 namespace {
@@ -17,7 +18,8 @@ int Main(const std::vector<std::string>& arguments) {
     return Report({ErrorCode::kInvalidArgument, "strata-serve is started by `strata serve`"}, 0);
   }
   const std::span rest = std::span(arguments).subspan(1);
-  const Result<void> outcome = arguments[0] == "serve" ? RunServe(rest) : RunKey(rest);
+  const auto run = arguments[0] == "serve" ? RunServe : arguments[0] == "key" ? RunKey : RunHealth;
+  const Result<void> outcome = run(rest);
   return outcome ? 0 : Report(outcome.error(), 0);
 }
 

@@ -72,8 +72,8 @@ constexpr std::array<ServeOption, 35> kOptions = {{
     {"keep-jobs", "HOURS", kStore, "Jobs that ended, and their results. 1 to 100000.", "168"},
     {"scratch", "DIR", kRun, "Meshes and results while their requests last.", "",
      "the system's directory for temporary files"},
-    {"log-format", "NAME", kRun, "text or json, to standard error.", "text"},
-    {"log-level", "NAME", kRun, "debug, info, warning or error.", "info"},
+    {"log-format", "text|json", kRun, "text or json, to standard error.", "text"},
+    {"log-level", "debug|info|warning|error", kRun, "debug, info, warning or error.", "info"},
     {"drain-timeout", "SECONDS", kRun,
      "After SIGTERM or Ctrl-C, for requests in flight to end. 0 to 86400.", "30"},
 }};
