@@ -3,7 +3,7 @@
 include(CMakePackageConfigHelpers)
 
 set(strata_public_headers
-  core/cell_octree.h core/lattice.h core/memory_account.h core/mesh_reader.h core/result.h core/run_context.h
+  core/cell_octree.h core/lattice.h core/memory_account.h core/mesh_attributes.h core/mesh_reader.h core/result.h core/run_context.h
   core/sample_mesh.h core/samples.h core/scratch.h core/summarize_mesh.h core/vec3.h
   io/open_mesh.h io/sample_writer.h)
 foreach(header IN LISTS strata_public_headers)
