@@ -58,7 +58,10 @@ Result<std::unique_ptr<RpcServer>> StartRpc(const ServeCommand& command, Service
   RpcServer::Options options;
   options.address = command.grpc->address;
   options.port = command.grpc->port;
+  options.connections = command.http_limits.connections;
   options.header_bytes = command.http_limits.header_bytes;
+  options.header_seconds = command.http_limits.header_seconds;
+  options.idle_seconds = command.http_limits.idle_seconds;
   options.bytes_per_second = command.http_limits.bytes_per_second;
   options.grace_seconds = command.http_limits.grace_seconds;
   for (const auto& [path, text] : {std::pair{&command.tls.certificate, &options.certificate},

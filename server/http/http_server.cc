@@ -1,7 +1,5 @@
 #include "server/http/http_server.h"
 
-#include <arpa/inet.h>
-#include <netinet/in.h>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
@@ -17,53 +15,11 @@
 #include <thread>
 #include <utility>
 
-#include "io/output_place.h"
+#include "server/listen.h"
 #include "server/service/log.h"
 
 namespace strata::server {
 namespace {
-
-constexpr int kBacklog = 512;
-
-struct Address {
-  sockaddr_storage storage{};
-  socklen_t size = 0;
-};
-
-Result<Address> ParseAddress(const std::string& text, std::uint16_t port) {
-  Address address;
-  auto& v4 = reinterpret_cast<sockaddr_in&>(address.storage);
-  auto& v6 = reinterpret_cast<sockaddr_in6&>(address.storage);
-  if (inet_pton(AF_INET, text.c_str(), &v4.sin_addr) == 1) {
-    v4.sin_family = AF_INET;
-    v4.sin_port = htons(port);
-    address.size = sizeof v4;
-  } else if (inet_pton(AF_INET6, text.c_str(), &v6.sin6_addr) == 1) {
-    v6.sin6_family = AF_INET6;
-    v6.sin6_port = htons(port);
-    address.size = sizeof v6;
-  } else {
-    return Fail(ErrorCode::kInvalidArgument,
-                "found '" + text + "', expected an IPv4 or IPv6 address");
-  }
-  return address;
-}
-
-Result<int> Listen(const std::string& text, std::uint16_t port) {
-  const auto address = ParseAddress(text, port);
-  if (!address) return Forward(address);
-  const int fd = socket(address->storage.ss_family, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  const int on = 1;
-  if (fd >= 0 && setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
-      bind(fd, reinterpret_cast<const sockaddr*>(&address->storage), address->size) == 0 &&
-      listen(fd, kBacklog) == 0) {
-    return fd;
-  }
-  const int error = errno;
-  if (fd >= 0) close(fd);
-  return Fail(ErrorCode::kIo, "cannot listen on " + text + " port " + std::to_string(port) + ": " +
-                                  io::SystemReason(error));
-}
 
 /// For a connection that no thread is left for. One write, which a fresh socket always takes.
 void TurnAway(int socket, bool plain) {
@@ -79,18 +35,18 @@ void TurnAway(int socket, bool plain) {
 }  // namespace
 
 struct HttpServer::State {
-  State(Options chosen, Service& service, int listening, int stop_event)
+  State(Options chosen, Service& service, io::Fd listening, int stop_event)
       : options(std::move(chosen)),
-        listener(listening),
+        listener(std::move(listening)),
         shared{service, options.limits, stop_event, options.guard} {}
   ~State() { close(shared.stop); }
 
   void Accept() {
-    std::array<pollfd, 2> waited = {{{listener, POLLIN, 0}, {shared.stop, POLLIN, 0}}};
+    std::array<pollfd, 2> waited = {{{listener.get(), POLLIN, 0}, {shared.stop, POLLIN, 0}}};
     while (true) {
       if (poll(waited.data(), waited.size(), -1) < 0 && errno != EINTR) return;
       if (waited[1].revents != 0) return;
-      const int socket = accept4(listener, nullptr, nullptr, SOCK_CLOEXEC);
+      const int socket = accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC);
       if (socket >= 0) Serve(socket);
       // Out of descriptors: the ones that end give theirs back.
       if (socket < 0 && (errno == EMFILE || errno == ENFILE)) std::this_thread::yield();
@@ -132,7 +88,7 @@ struct HttpServer::State {
   }
 
   const Options options;
-  const int listener;
+  io::Fd listener;
   const HttpShared shared;
   std::mutex mutex;
   std::condition_variable ended;
@@ -147,26 +103,20 @@ HttpServer::HttpServer(std::unique_ptr<State> state) : state_(std::move(state)) 
 HttpServer::~HttpServer() { Close(); }
 
 Result<std::unique_ptr<HttpServer>> HttpServer::Start(Options options, Service& service) {
-  const auto listener = Listen(options.address, options.port);
+  auto listener = Listen(options.address, options.port);
   if (!listener) return Forward(listener);
   const int stop = eventfd(0, EFD_CLOEXEC);
-  return std::unique_ptr<HttpServer>(
-      new HttpServer(std::make_unique<State>(std::move(options), service, *listener, stop)));
+  return std::unique_ptr<HttpServer>(new HttpServer(
+      std::make_unique<State>(std::move(options), service, *std::move(listener), stop)));
 }
 
-std::uint16_t HttpServer::port() const {
-  sockaddr_storage address{};
-  socklen_t size = sizeof address;
-  getsockname(state_->listener, reinterpret_cast<sockaddr*>(&address), &size);
-  return ntohs(address.ss_family == AF_INET6 ? reinterpret_cast<sockaddr_in6&>(address).sin6_port
-                                             : reinterpret_cast<sockaddr_in&>(address).sin_port);
-}
+std::uint16_t HttpServer::port() const { return PortOf(state_->listener.get()); }
 
 void HttpServer::StopAccepting() {
   if (!state_->acceptor.joinable()) return;
   eventfd_write(state_->shared.stop, 1);
   state_->acceptor.join();
-  close(state_->listener);  // Now the system refuses who comes.
+  state_->listener.Close();  // Now the system refuses who comes.
 }
 
 void HttpServer::Close() {

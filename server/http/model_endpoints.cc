@@ -21,6 +21,7 @@ std::string Unquoted(std::string tag) {
 Answer<StoredService::Put> Put(Service& service, Exchange& exchange, const std::string& name) {
   const auto stored = service.stored();
   if (!stored) return Pass(stored);
+  if (auto type = CheckMeshType(exchange); !type) return Pass(type);
   v1::PutModelHeader header;
   header.set_name(name);
   header.set_if_absent(exchange.header("If-None-Match") == "*");

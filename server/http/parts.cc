@@ -75,6 +75,21 @@ Answer<v1::SampleOptions> SampleOptionsOf(
   return *std::move(options);
 }
 
+Answer<void> CheckMeshType(const Exchange& exchange) {
+  const std::string type = exchange.header("Content-Type");
+  if (type.starts_with("multipart/") || type.starts_with("application/json")) {
+    return Refuse(Refusal::kMediaType, "Content-Type: found '" + type +
+                                           "', expected the bytes of a mesh file as the body, "
+                                           "such as application/octet-stream");
+  }
+  const std::string coding = exchange.header("Content-Encoding");
+  if (!coding.empty() && coding != "gzip" && coding != "zstd" && coding != "identity") {
+    return Refuse(Refusal::kMediaType,
+                  "Content-Encoding: found '" + coding + "', expected gzip, zstd or none");
+  }
+  return {};
+}
+
 Headers ResultHeaders(const Sampled& sampled) {
   std::string suffix;
   for (const FormatName& format : Formats()) {

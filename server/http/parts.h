@@ -25,6 +25,10 @@ Answer<void> JsonBodyInto(Exchange& exchange, google::protobuf::Message& message
 Answer<v1::SampleOptions> SampleOptionsOf(
     const Exchange& exchange, const std::vector<std::pair<std::string, std::string>>& query);
 
+/// A mesh file is sent as it is: what wraps it in something else is refused by name, because its
+/// bytes would be read as a broken mesh. Refuses: kMediaType.
+Answer<void> CheckMeshType(const Exchange& exchange);
+
 /// The headers of a result.
 Headers ResultHeaders(const Sampled& sampled);
 

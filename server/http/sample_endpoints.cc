@@ -9,23 +9,6 @@
 namespace strata::server {
 namespace {
 
-/// A mesh file is sent as it is: what wraps it in something else is refused by name, because its
-/// bytes would be read as a broken mesh.
-Answer<void> CheckMeshType(const Exchange& exchange) {
-  const std::string type = exchange.header("Content-Type");
-  if (type.starts_with("multipart/") || type.starts_with("application/json")) {
-    return Refuse(Refusal::kMediaType, "Content-Type: found '" + type +
-                                           "', expected the bytes of a mesh file as the body, "
-                                           "such as application/octet-stream");
-  }
-  const std::string coding = exchange.header("Content-Encoding");
-  if (!coding.empty() && coding != "gzip" && coding != "zstd" && coding != "identity") {
-    return Refuse(Refusal::kMediaType,
-                  "Content-Encoding: found '" + coding + "', expected gzip, zstd or none");
-  }
-  return {};
-}
-
 Answer<Upload> ReceiveMesh(Service& service, Exchange& exchange) {
   auto upload = service.BeginUpload();
   if (!upload) return upload;

@@ -2,7 +2,7 @@
 
 namespace strata::server {
 
-CallWatch::Transfer::Transfer(CallWatch& watch, grpc::ServerContext& context)
+CallWatch::Transfer::Transfer(CallWatch& watch, grpc::ServerContextBase& context)
     : watch_(watch), context_(context) {
   const std::lock_guard lock(watch_.mutex_);
   place_ = watch_.transfers_.insert(watch_.transfers_.end(), this);

@@ -26,7 +26,7 @@ class CallWatch {
   /// One direction of one call. While it lives, the call is watched.
   class Transfer {
    public:
-    Transfer(CallWatch& watch, grpc::ServerContext& context);
+    Transfer(CallWatch& watch, grpc::ServerContextBase& context);
     ~Transfer();
     Transfer(const Transfer&) = delete;
     Transfer& operator=(const Transfer&) = delete;
@@ -34,11 +34,12 @@ class CallWatch {
     void Add(std::uint64_t bytes) { bytes_ += bytes; }
     std::uint64_t bytes() const { return bytes_; }
     bool too_slow() const { return too_slow_; }
+    bool cancelled() const { return context_.IsCancelled(); }
 
    private:
     friend class CallWatch;
     CallWatch& watch_;
-    grpc::ServerContext& context_;
+    grpc::ServerContextBase& context_;
     const std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
     std::atomic<std::uint64_t> bytes_{0};
     std::atomic<bool> too_slow_{false};

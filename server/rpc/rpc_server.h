@@ -19,7 +19,10 @@ class RpcServer {
     std::uint16_t port = 0;  ///< 0: any free one.
     // PEM texts; empty certificate: plain. client_ca: clients must show a certificate.
     std::string certificate, key, client_ca;
+    std::uint32_t connections = 512;  ///< Open at a time.
     std::uint32_t header_bytes = 16 << 10;
+    std::uint32_t header_seconds = 10;      ///< For TLS's handshake and the first settings.
+    std::uint32_t idle_seconds = 60;        ///< A connection without a call is closed after these.
     std::uint64_t bytes_per_second = 1024;  ///< Slower streams are ended, …
     std::uint32_t grace_seconds = 10;       ///< … beyond the first seconds.
   };

@@ -43,20 +43,19 @@ class SampleCall {
   Answer<void> Receive(Upload& upload, CallBytes& bytes) {
     CallWatch::Transfer transfer(watch_, context_);
     v1::SampleRequest request;
-    if (!stream_.Read(&request)) {
-      if (context_.IsCancelled()) return RefuseTransfer(watch_, transfer);
-      return Refuse(Refusal::kMalformed, "the stream is empty, expected a header first");
-    }
+    auto more = ReadNext(stream_, request, watch_, transfer);
+    if (!more) return Pass(more);
+    if (!*more) return Refuse(Refusal::kMalformed, "the stream is empty, expected a header first");
     if (!request.has_header()) {
       return Refuse(Refusal::kMalformed, "found a chunk, expected a header first");
     }
     header_ = std::move(*request.mutable_header());
-    while (stream_.Read(&request)) {
+    while ((more = ReadNext(stream_, request, watch_, transfer)) && *more) {
       if (auto taken = Take(request, upload); !taken) return taken;
       transfer.Add(request.chunk().size());
       bytes.in += request.chunk().size();
     }
-    if (context_.IsCancelled()) return RefuseTransfer(watch_, transfer);
+    if (!more) return Pass(more);
     if (header_.has_model() != (upload.file().size() == 0)) {
       if (header_.has_model()) return Refuse(Refusal::kMalformed, "found a model and chunks");
       return Refuse(Refusal::kMalformed, "no chunk came, expected the bytes of a mesh file");
@@ -75,7 +74,8 @@ class SampleCall {
   void Report(const v1::Progress& progress) {
     v1::SampleResponse response;
     *response.mutable_progress() = progress;
-    stream_.Write(response);  // A client that has gone shows as cancelled.
+    // A client that has gone, or does not read, shows as cancelled.
+    static_cast<void>(WriteNext(stream_, response, watch_, context_));
   }
 
   Answer<void> Send(const Sampled& sampled, CallBytes& bytes) {
@@ -88,8 +88,7 @@ class SampleCall {
     });
     if (!sent) return sent;
     *response.mutable_summary() = sampled.summary;
-    if (!stream_.Write(response)) return Refuse(Cancelled().value());
-    return {};
+    return WriteNext(stream_, response, watch_, context_);
   }
 
   Service& service_;

@@ -50,12 +50,12 @@ grpc::Status ModelsRpc::Put(grpc::ServerContext* context,
         if (!stored) return Pass(stored);
         CallWatch::Transfer transfer(watch_, *context);
         v1::PutModelRequest request;
-        if (!stream->Read(&request) || !request.has_header()) {
-          return Refuse(Refusal::kMalformed, "expected a header first");
-        }
+        auto more = ReadNext(*stream, request, watch_, transfer);
+        if (!more) return Pass(more);
+        if (!request.has_header()) return Refuse(Refusal::kMalformed, "expected a header first");
         const v1::PutModelHeader header = request.header();
         const auto put = (*stored)->PutModel(header, {}, [&](const auto& sink) -> Answer<void> {
-          while (stream->Read(&request)) {
+          while ((more = ReadNext(*stream, request, watch_, transfer)) && *more) {
             if (auto good = CheckChunk(request.chunk()); !good) return good;
             bytes.in += request.chunk().size();
             transfer.Add(request.chunk().size());
@@ -66,7 +66,7 @@ grpc::Status ModelsRpc::Put(grpc::ServerContext* context,
             }
             if (auto taken = sink(request.chunk()); !taken) return taken;
           }
-          if (context->IsCancelled()) return RefuseTransfer(watch_, transfer);
+          if (!more) return Pass(more);
           return {};
         });
         if (!put) return Pass(put);
@@ -165,7 +165,10 @@ grpc::Status JobsRpc::Watch(grpc::ServerContext* context, const v1::WatchJobRequ
                    const auto stored = service_.stored();
                    if (!stored) return Pass(stored);
                    return (*stored)->WatchJob(
-                       *request, [&](const v1::JobEvent& event) { return stream->Write(event); },
+                       *request,
+                       [&](const v1::JobEvent& event) {
+                         return WriteNext(*stream, event, watch_, *context).has_value();
+                       },
                        GoneOf(*context));
                  });
 }

@@ -1,6 +1,8 @@
 // Bytes in and out of a stream, chunk by chunk.
 #pragma once
 
+#include <google/protobuf/message.h>
+
 #include <algorithm>
 #include <string>
 
@@ -16,6 +18,34 @@ tl::unexpected<Problem> RefuseTransfer(const CallWatch& watch, const CallWatch::
 
 /// Refuses kMalformed unless a chunk has 1 to kMostChunk bytes.
 Answer<void> CheckChunk(const std::string& chunk);
+
+/// Marks `message` so that FoundEnd can tell what a read that failed has left of it.
+void MarkUnread(google::protobuf::Message& message);
+/// After a read that failed: whether the stream is at its end, rather than at bytes that are no
+/// message. gRPC says the same of both, but only parsing touches the message.
+bool FoundEnd(const google::protobuf::Message& message);
+
+/// Reads the next message of a client's stream; false at its end. Refuses: kMalformed (no message
+/// of this kind); what RefuseTransfer says.
+template <class Stream, class Message>
+Answer<bool> ReadNext(Stream& stream, Message& message, CallWatch& watch,
+                      const CallWatch::Transfer& transfer) {
+  MarkUnread(message);
+  if (stream.Read(&message)) return true;
+  if (transfer.cancelled()) return RefuseTransfer(watch, transfer);
+  if (FoundEnd(message)) return false;
+  return Refuse(Refusal::kMalformed, "found bytes that are no message, after " +
+                                         std::to_string(transfer.bytes()) + " bytes of chunks");
+}
+
+/// Writes one message. Refuses: what RefuseTransfer says.
+template <class Stream, class Message>
+Answer<void> WriteNext(Stream& stream, const Message& message, CallWatch& watch,
+                       grpc::ServerContext& context) {
+  const CallWatch::Transfer transfer(watch, context);
+  if (stream.Write(message)) return {};
+  return RefuseTransfer(watch, transfer);
+}
 
 /// Sends `content` from `offset` in chunks; `send` gives one to the stream and says whether it took
 /// it.

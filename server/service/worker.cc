@@ -4,6 +4,7 @@
 #include <google/protobuf/io/zero_copy_stream_impl_lite.h>
 #include <google/protobuf/util/delimited_message_util.h>
 #include <linux/close_range.h>
+#include <poll.h>
 #include <signal.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
@@ -131,12 +132,20 @@ Result<v1::SampleSummary> RunGuarded(const internal::WorkerJob& job) {
   }
 }
 
+/// Whether the server has ended before it could be asked to signal its end: then nobody reads the
+/// events.
+bool ServerIsGone() {
+  pollfd events = {1, 0, 0};
+  return poll(&events, 1, 0) > 0 && (events.revents & POLLERR) != 0;
+}
+
 }  // namespace
 
 int RunWorker() {
   // Sockets and files of the server that were opened without close-on-exec.
   static_cast<void>(syscall(SYS_close_range, kWorkerResult + 1, ~0u, 0));
   static_cast<void>(prctl(PR_SET_PDEATHSIG, SIGKILL));
+  if (ServerIsGone()) return 2;
   internal::WorkerJob job;
   if (!job.ParseFromFileDescriptor(0)) return 2;
   LimitSelf(job);

@@ -92,10 +92,9 @@ Result<void> BlobStore::CheckFreeSpace(std::uint64_t bytes) const {
   if (fstatvfs(folder_.blobs().get(), &disk) != 0) return {};  // The write itself will tell.
   const std::uint64_t free = std::uint64_t{disk.f_bavail} * disk.f_frsize;
   if (free >= keep_free_bytes_ && bytes <= free - keep_free_bytes_) return {};
-  return Fail(ErrorCode::kOverBudget, folder_.path() + ": " + std::to_string(bytes) +
-                                          " bytes wanted, " + std::to_string(free) +
-                                          " free on the disk, of which " +
-                                          std::to_string(keep_free_bytes_) + " are kept free");
+  return Fail(ErrorCode::kIo, folder_.path() + ": " + std::to_string(bytes) + " bytes wanted, " +
+                                  std::to_string(free) + " free on the disk, of which " +
+                                  std::to_string(keep_free_bytes_) + " are kept free");
 }
 
 Result<BlobWriter> BlobStore::NewBlob(BlobKind kind, std::optional<std::uint64_t> size) {

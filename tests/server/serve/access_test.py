@@ -8,16 +8,9 @@ import unittest
 import grpc
 
 import harness
-from harness import CUBE, Answer, Server, ServerCase, strata
+from harness import CUBE, Answer, Server, ServerCase, make_key, strata
 
 SAMPLE = '/strata.v1.Sampling/Sample'
-
-
-def make_key(name, role='full'):
-    """(key, line) as `strata key` prints them."""
-    done = subprocess.run([strata(), 'key', name, '--role', role], capture_output=True, text=True,
-                          check=True)
-    return done.stderr.split()[-1], done.stdout
 
 
 def run_serve(*options, cwd):

@@ -1,4 +1,5 @@
 """A service of the test's own on loopback, and raw sockets to it."""
+import collections
 import io
 import json
 import os
@@ -22,12 +23,12 @@ def strata():
     return ARGUMENTS['strata']
 
 
-def wait_until(condition, what):
+def wait_until(condition, what, patience=PATIENCE):
     """Polls until `condition` holds; fails, naming `what`, when it never does."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + patience
     while not (value := condition()):
         if time.monotonic() > deadline:
-            raise AssertionError(f'waited {PATIENCE} s for: {what}')
+            raise AssertionError(f'waited {patience} s for: {what}')
         select.select([], [], [], 0.01)
     return value
 
@@ -86,6 +87,30 @@ class Server:
     def resident_bytes(self):
         text = pathlib.Path(f'/proc/{self.process.pid}/status').read_text()
         return int(re.search(r'VmRSS:\s+(\d+)', text)[1]) * 1024
+
+    def held(self):
+        """What a request could leave behind: descriptors by kind, threads, children, scratch files."""
+        process = pathlib.Path(f'/proc/{self.process.pid}')
+        kinds = collections.Counter()
+        for link in (process / 'fd').iterdir():
+            try:
+                kinds[os.readlink(link).partition(':[')[0]] += 1
+            except FileNotFoundError:
+                pass  # Closed meanwhile.
+        return {'descriptors': dict(sorted(kinds.items())),
+                'threads': len(list((process / 'task').iterdir())),
+                'children': len(self.children()),
+                'scratch': sorted(os.listdir(self.path / 'scratch'))}
+
+    def await_held(self, before):
+        """Fails unless it comes to hold what it held `before`, or fewer threads."""
+        def same():
+            now = self.held()
+            return {**now, 'threads': max(now['threads'], before['threads'])} == before
+        try:
+            wait_until(same, 'everything to be given back')
+        except AssertionError as error:
+            raise AssertionError(f'{error}: before {before}, now {self.held()}') from None
 
     def stop(self, number=signal.SIGTERM):
         """Ends the service, returns its exit status."""
@@ -172,6 +197,13 @@ class Answer:
         return json.loads(self.body)
 
 
+def make_key(name, role='full'):
+    """(key, line) as `strata key` prints them."""
+    done = subprocess.run([strata(), 'key', name, '--role', role], capture_output=True, text=True,
+                          check=True)
+    return done.stderr.split()[-1], done.stdout
+
+
 def sample_by_command(mesh, suffix, *options):
     """What `strata sample` writes."""
     with tempfile.TemporaryDirectory() as folder:
@@ -250,6 +282,25 @@ class ServerCase(unittest.TestCase):
         return problem
 
 
+def route_table():
+    """(method, path, access) of the table in server/http/endpoints.cc; access is Open, Read, Full."""
+    text = (pathlib.Path(ARGUMENTS['source']) / 'server/http/endpoints.cc').read_text()
+    table = text[text.index('kRoutes'):]
+    return re.findall(r'\{"([A-Z]+)", "(/[^"]*)", Access::k(\w+)', table)
+
+
+def routes():
+    """Its paths, as OpenAPI writes them."""
+    return [path.replace('...', '') for _, path, _ in route_table()]
+
+
+def sample_option_names():
+    """The fields of strata.v1.SampleOptions."""
+    text = (pathlib.Path(ARGUMENTS['source']) / 'proto/strata/v1/options.proto').read_text()
+    message = text[text.index('message SampleOptions'):text.index('message Progress')]
+    return set(re.findall(r'^ +(?:optional )?\w+ (\w+) = \d+;', message, re.M))
+
+
 def main():
     import argparse
     import sys
@@ -259,17 +310,3 @@ def main():
     options, rest = parser.parse_known_args()
     ARGUMENTS.update(vars(options))
     unittest.main(module='__main__', argv=[sys.argv[0], *rest], verbosity=2)
-
-
-def routes():
-    """The paths of the table in server/http/endpoints.cc."""
-    text = (pathlib.Path(ARGUMENTS['source']) / 'server/http/endpoints.cc').read_text()
-    table = text[text.index('kRoutes'):]
-    return [path.replace('...', '') for path in re.findall(r'\{"[A-Z]+", "(/[^"]*)"', table)]
-
-
-def sample_option_names():
-    """The fields of strata.v1.SampleOptions."""
-    text = (pathlib.Path(ARGUMENTS['source']) / 'proto/strata/v1/options.proto').read_text()
-    message = text[text.index('message SampleOptions'):text.index('message Progress')]
-    return set(re.findall(r'^ +(?:optional )?\w+ (\w+) = \d+;', message, re.M))

@@ -48,7 +48,7 @@ TEST_F(DiskFullTest, AModelThatDoesNotFitIsRefusedAndLeavesNothing) {
   EXPECT_TRUE(clear) << Why(written);
   EXPECT_TRUE(Files("incoming").empty());
   EXPECT_EQ(ReadModel("kept"), "kept") << "reading needs no space";
-  EXPECT_FAILS(ErrorCode::kOverBudget, store->blobs().NewBlob(BlobKind::kModel, 100'000));
+  EXPECT_FAILS(ErrorCode::kIo, store->blobs().NewBlob(BlobKind::kModel, 100'000));
   EmptyDisk();
   EXPECT_OK(Put("new", Bytes(100'000, 2)));
   EXPECT_EQ(store->blobs().budget(BlobKind::kModel).used(), 100'004u);
@@ -141,7 +141,7 @@ TEST_F(DiskFullTest, SpaceKeptFreeLetsJobsAndDeletionsThroughWhileContentIsRefus
   for (int i = 0; i < 100 && put; ++i) {
     put = Put("m" + std::to_string(i), Bytes(200'000, static_cast<std::uint64_t>(i) + 10));
   }
-  EXPECT_FAILS(ErrorCode::kOverBudget, put);
+  EXPECT_FAILS(ErrorCode::kIo, put);
   EXPECT_NE(put.error().message.find("kept free"), std::string::npos) << Why(put);
   for (int i = 0; i < 50; ++i) ASSERT_OK(store->jobs().Create(Request(std::to_string(i))));
   ASSERT_OK(store->models().Delete("a"));
