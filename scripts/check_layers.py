@@ -43,6 +43,7 @@ LIBRARIES = {
     'CLI/': {'server'},
     'nlohmann/': {'io', 'server'},
     'spdlog/': {'server'},
+    'grpc/': {'server'},
     'grpcpp/': {'server'},
     'google/protobuf/': {'server', 'proto'},
     'boost/': {'server'},
@@ -55,7 +56,7 @@ ONE_FOLDER = {
 # The stores serve every transport, so they know none, and no wire format.
 STORE = 'server/store'
 STORE_MAY_INCLUDE = ('core/', 'io/', 'server/store/')
-STORE_MAY_NOT_USE = ('CLI/', 'nlohmann/', 'spdlog/', 'grpcpp/', 'google/', 'boost/')
+STORE_MAY_NOT_USE = ('CLI/', 'nlohmann/', 'spdlog/', 'grpc/', 'grpcpp/', 'google/', 'boost/')
 STANDARD = re.compile(r'^[a-z0-9_]+$')
 POSIX = re.compile(r'^((sys|net|netinet|arpa|linux)/)?[a-z0-9_]+\.h$')
 MAY_USE_POSIX = {'io', 'server'}

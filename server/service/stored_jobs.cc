@@ -94,15 +94,20 @@ Answer<void> StoredService::WatchJob(const v1::WatchJobRequest& request,
   const auto following = store_->jobs().Subscribe(request.id(), request.after_sequence());
   if (!following) return Refuse(following.error());
   JobSubscription& events = **following;
+  std::uint64_t told = request.after_sequence();
   while (!events.ended()) {
-    const JobEvent event = events.Next(kTick);
+    JobEvent event = events.Next(kTick);
     if (gone() || service_.cancelled()) return {};
     if (!event) {
-      // A job that had ended before, with nothing new to tell.
+      // It had ended before, or ends just now, and its last event is on the way.
       const auto job = store_->jobs().Get(request.id());
-      if (!job || IsFinished(job->state)) return {};
-      continue;
+      if (!job) return {};
+      if (!IsFinished(job->state)) continue;
+      if (job->sequence <= told) return {};
+      event = std::make_shared<const Job>(*job);
     }
+    if (event->sequence <= told) continue;
+    told = event->sequence;
     v1::JobEvent message;
     message.set_sequence(event->sequence);
     *message.mutable_job() = MessageOf(*event);

@@ -237,6 +237,9 @@ async function askEverything(judge) {
   for (const format of ['drc', 'ply', 'xyz', 'npz']) {
     await judge.ask('post', '/v1/samples', 200, { query: `?resolution=5&format=${format}`, body: mesh });
   }
+  const { headers: zip } = await judge.ask('post', '/v1/samples', 200,
+                                           { query: '?resolution=20&tile_samples=100', body: mesh });
+  assert.equal(zip.get('content-type'), 'application/zip');
   for (const [status, query, body] of [[400, '?resolution=0', mesh], [422, '', 'v 0 0 0\n'.repeat(9)],
                                        [413, '', Buffer.alloc(2 << 20)]]) {
     await judge.ask('post', '/v1/samples', status, { query, body });
@@ -277,6 +280,7 @@ async function askEverything(judge) {
   const failed = await judge.ask('get', '/v1/jobs/{id}', 200,
                                  { at: `/v1/jobs/${long.json.id}`, query: '?wait=60' });
   assert.equal(failed.json.state, 'failed');  // Beyond its time.
+  await judge.ask('post', '/v1/jobs', 202, request({ method: 'uniform', count: '9', format: 'xyz' }));
   const again = await judge.ask('post', '/v1/jobs', 202, request({ resolution: 7, format: 'ply' }));
   await judge.ask('get', '/v1/jobs/{id}', 200, { at: `/v1/jobs/${again.json.id}`, query: '?wait=60' });
   const other = await judge.ask('post', '/v1/jobs', 202, request({ resolution: 900, format: 'xyz' }));
