@@ -54,6 +54,9 @@ class Load:
                                {name.replace('_', '-'): text for name, text in headers.items()})
             answer = connection.getresponse()
             content = answer.read()
+            # A header that was cut off by the kill is a whole one to this library.
+            if answer.status != 204 and answer.getheader('Content-Length') is None:
+                raise http.client.IncompleteRead(content)
             self.answered.set()
             if answer.status >= 300:
                 self.refused.append((method, path, answer.status, content[:300]))
