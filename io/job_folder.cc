@@ -150,6 +150,17 @@ tl::unexpected<Error> JobFolder::FailIo(const std::string& what) const {
               "scratch space " + directory_ + "/" + name_ + ": " + what + ": " + reason);
 }
 
+std::vector<std::string> JobKeysIn(const std::string& directory) {
+  std::vector<std::string> keys;
+  const int parent = open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (parent < 0) return keys;
+  for (const std::string& name : NamesIn(parent)) {
+    if (KindOfJob(name)) keys.push_back(name.substr(kPrefix.size()));
+  }
+  close(parent);
+  return keys;
+}
+
 void RemoveAbandonedJobs(const std::string& directory) {
   const int parent = open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
   if (parent < 0) return;

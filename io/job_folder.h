@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "core/checkpoint.h"
 #include "core/result.h"
@@ -45,6 +46,9 @@ class JobFolder : public CheckpointPlace {
   int fd_ = -1;  // The folder itself; holds the lock.
   bool keep_;
 };
+
+/// The keys of the jobs that have a folder in `directory`.
+std::vector<std::string> JobKeysIn(const std::string& directory);
 
 /// Removes the jobs' folders in `directory` whose processes are dead.
 void RemoveAbandonedJobs(const std::string& directory);

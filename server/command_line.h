@@ -34,7 +34,10 @@ struct SampleCommand {
   std::optional<std::string> scratch;   ///< Directory; absent = the system's.
   bool resume = false;                  ///< Go on with what a killed process left in scratch.
   bool tiles_in_zip = false;            ///< A stream of more samples is a zip of tiles.
-  bool checkpoints = true;              ///< Leave something to go on with, should it be killed.
+  /// Where such a thing is left and gone on with whatever `resume` says, and its key, in place of
+  /// scratch and JobKey. Empty: there.
+  std::string checkpoint_folder, checkpoint_key;
+  bool checkpoints = true;  ///< Leave something to go on with, should it be killed.
   bool quiet = false;
 };
 

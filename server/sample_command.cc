@@ -226,10 +226,17 @@ class Job {
 
   /// What the scan comes to then outlives a process that is killed. Standard input does not.
   Result<void> KeepCheckpoints(const Share& share, const std::optional<Lattice>& lattice) {
+    if (!command_.checkpoint_folder.empty()) {
+      return KeepIn(command_.checkpoint_folder, command_.checkpoint_key, true);
+    }
     if (!scratch_ || command_.input == "-" || !command_.checkpoints) return {};
     const auto key = JobKey(command_, share, lattice);
     if (!key) return Forward(key);
-    auto folder = io::JobFolder::Open(scratch_->path(), *key, command_.resume);
+    return KeepIn(scratch_->path(), *key, command_.resume);
+  }
+
+  Result<void> KeepIn(const std::string& directory, const std::string& key, bool go_on) {
+    auto folder = io::JobFolder::Open(directory, key, go_on);
     if (!folder) return Forward(folder);
     folder_ = std::move(*folder);
     context_.SetCheckpoints(folder_.get());

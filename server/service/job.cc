@@ -64,7 +64,10 @@ Result<v1::SampleSummary> RunJob(const internal::WorkerJob& job, int mesh, int r
   if (!command) return Forward(command);
   command->memory = job.memory_bytes();
   command->tiles_in_zip = true;
-  command->checkpoints = false;  // A job that is cut short is gone with all it had.
+  command->checkpoints =
+      false;  // But for jobs with a place for them, nothing outlives the process.
+  command->checkpoint_folder = job.checkpoint_folder();
+  command->checkpoint_key = job.checkpoint_key();
   command->options.threads = static_cast<int>(job.threads());
   if (!job.scratch().empty()) command->scratch = job.scratch();
   return Run(*std::move(command), job.input_name(), context);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <string>
 
 #include "core/result.h"
 #include "core/run_context.h"
@@ -10,11 +11,13 @@
 
 namespace strata::server {
 
-/// What a job asks of whoever waits for it. Both are called on the waiting thread, about 20 times a
-/// second; either may be empty.
+/// What a job has of whoever waits for it. Both functions are called on the waiting thread, about
+/// 20 times a second; either may be empty.
 struct JobWatch {
   std::function<bool()> gone;  ///< True: nobody wants the result any more.
   std::function<void(const v1::Progress&)> progress;
+  /// As in internal::WorkerJob; what is left there is the waiter's to remove.
+  std::string checkpoint_folder, checkpoint_key;
 };
 
 /// Runs `job` on this thread (and its workers) from the open file `mesh` to the open, empty file

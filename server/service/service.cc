@@ -82,7 +82,9 @@ Answer<StoredService*> Service::stored() const {
 Answer<Sampled> Service::Sample(const v1::SampleOptions& options, int mesh, const std::string& name,
                                 const JobWatch& watch) {
   if (const auto checked = CommandOf(options, "-", "-"); !checked) return Refuse(checked.error());
-  const internal::WorkerJob job = JobOf(options, name, limits_, scratch_->path());
+  internal::WorkerJob job = JobOf(options, name, limits_, scratch_->path());
+  job.set_checkpoint_folder(watch.checkpoint_folder);
+  job.set_checkpoint_key(watch.checkpoint_key);
   JobWatch either = watch;
   either.gone = [this, &watch] { return cancelled_ || (watch.gone && watch.gone()); };
   if (watch.progress) {

@@ -24,6 +24,10 @@ JobQuery QueryOf(const v1::ListJobsRequest& request) {
   return query;
 }
 
+/// Whether an attempt that went on from a former one's checkpoint may have failed by that: files
+/// that a crash of the machine damaged, or a process that they brought down.
+bool MayBeDamage(ErrorCode code) { return code == ErrorCode::kIo || code == ErrorCode::kInternal; }
+
 }  // namespace
 
 Answer<StoredService::CreatedJob> StoredService::CreateJob(const v1::CreateJobRequest& request,
@@ -146,7 +150,6 @@ void StoredService::RunJobs() {
 void StoredService::RunClaimed(const JobStore::Claimed& claimed) {
   JobStore& jobs = store_->jobs();
   const Job& job = claimed.job;
-  v1::SampleOptions options;
   v1::Progress latest;
   bool cancelled = false, lost = false;
   auto beat = std::chrono::steady_clock::now();
@@ -161,14 +164,26 @@ void StoredService::RunClaimed(const JobStore::Claimed& claimed) {
     }
     return cancelled || lost || stopping_;
   };
-  const auto outcome = [&]() -> Answer<Sampled> {
-    if (auto parsed = FromJson(job.request.options, options); !parsed)
-      return Refuse(parsed.error());
-    const auto model = store_->models().OpenVersion(job.request.model, job.request.model_hash);
-    if (!model) return Refuse(model.error());
-    return SampleOpened(options, *model, watch);
-  }();
+  watch.checkpoint_folder = checkpoints_->folder();
+  watch.checkpoint_key = checkpoints_->KeyOf(job);
+  const bool goes_on = checkpoints_->Has(watch.checkpoint_key);
+  auto outcome = RunAttempt(job, watch);
+  const bool wanted = !cancelled && !lost && !stopping_;
+  if (!outcome && goes_on && wanted && MayBeDamage(outcome.error().code)) {
+    checkpoints_->Remove(watch.checkpoint_key);
+    outcome = RunAttempt(job, watch);
+  }
   EndClaimed(claimed.claim, outcome, cancelled, lost);
+  const auto ended = jobs.Get(job.id);
+  if (ended && IsFinished(ended->state)) checkpoints_->Remove(watch.checkpoint_key);
+}
+
+Answer<Sampled> StoredService::RunAttempt(const Job& job, const JobWatch& watch) {
+  v1::SampleOptions options;
+  if (auto parsed = FromJson(job.request.options, options); !parsed) return Refuse(parsed.error());
+  const auto model = store_->models().OpenVersion(job.request.model, job.request.model_hash);
+  if (!model) return Refuse(model.error());
+  return SampleOpened(options, *model, watch);
 }
 
 void StoredService::EndClaimed(const JobClaim& claim, const Answer<Sampled>& outcome,

@@ -64,6 +64,9 @@ Result<std::unique_ptr<StoredService>> StoredService::Start(const StoreOptions& 
   auto store = Store::Open(options, stored->clock_);
   if (!store) return Forward(store);
   stored->store_ = *std::move(store);
+  auto checkpoints = JobCheckpoints::Open(*stored->store_);
+  if (!checkpoints) return Forward(checkpoints);
+  stored->checkpoints_ = *std::move(checkpoints);
   StoredService& self = *stored;
   for (std::uint32_t i = 0; i < service.limits().jobs.jobs; ++i) {
     self.threads_.emplace_back([&self] { self.RunJobs(); });

@@ -13,6 +13,7 @@
 #include <thread>
 #include <vector>
 
+#include "server/service/job_checkpoints.h"
 #include "server/service/service.h"
 #include "server/store/store.h"
 #include "strata/v1/jobs.pb.h"
@@ -85,12 +86,14 @@ class StoredService {
                        const JobWatch& watch, ResultLead lead);
   void RunJobs();
   void RunClaimed(const JobStore::Claimed& claimed);
+  Answer<Sampled> RunAttempt(const Job& job, const JobWatch& watch);
   void EndClaimed(const JobClaim& claim, const Answer<Sampled>& outcome, bool cancelled, bool lost);
   void Maintain();
 
   Service& service_;
   SystemClock clock_;
   std::unique_ptr<Store> store_;
+  std::unique_ptr<JobCheckpoints> checkpoints_;
   std::mutex mutex_;
   std::condition_variable wake_;
   std::atomic<bool> stopping_{false};

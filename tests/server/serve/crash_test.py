@@ -147,10 +147,11 @@ class Disk:
         open_uploads = self.query("SELECT id FROM uploads WHERE ifnull(hash, '') = ''")
         uploads = set(os.listdir(self.data / 'uploads'))
         found |= {f'uploads: {name}' for name in open_uploads ^ uploads}
-        for folder in (self.data / 'incoming', self.scratch, self.temporary):
+        for folder in (self.data / 'incoming', self.data / 'checkpoints', self.scratch,
+                       self.temporary):
             found |= {f'{folder.name}: {name}' for name in os.listdir(folder)}
         allowed = {'lock', 'strata.db', 'strata.db-wal', 'strata.db-shm', 'blobs', 'incoming',
-                   'uploads'}
+                   'uploads', 'checkpoints'}
         return found | {f'data: {name}' for name in set(os.listdir(self.data)) - allowed}
 
     def halves(self):
