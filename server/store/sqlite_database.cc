@@ -1,7 +1,9 @@
 // Database over SQLite.
 #include <sqlite3.h>
 
+#include <filesystem>
 #include <mutex>
+#include <system_error>
 #include <unordered_map>
 
 #include "server/store/database.h"
@@ -144,7 +146,14 @@ Result<void> SqliteDatabase::OpenFile(const std::string& path) {
   path_ = path;
   const int flags =
       SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_NOMUTEX | SQLITE_OPEN_NOFOLLOW;
-  if (sqlite3_open_v2(path.c_str(), &handle_, flags, nullptr) != SQLITE_OK) {
+  // NOFOLLOW refuses a link anywhere in the name; only the last part must not be one. (With
+  // DynamicUser systemd's state directory is reached through a link.)
+  const std::filesystem::path given(path);
+  std::error_code failed;
+  const auto folder = std::filesystem::canonical(
+      given.has_parent_path() ? given.parent_path() : std::filesystem::path("."), failed);
+  const std::string real = failed ? path : (folder / given.filename()).string();
+  if (sqlite3_open_v2(real.c_str(), &handle_, flags, nullptr) != SQLITE_OK) {
     return FailSql("cannot be opened");
   }
   sqlite3_extended_result_codes(handle_, 1);

@@ -44,6 +44,16 @@ TEST(DataFolder, CannotBeMadeInsideOfNothing) {
   EXPECT_FAILS(ErrorCode::kIo, DataFolder::Open(folder / "file"));
 }
 
+TEST(Database, MayBeReachedThroughALinkedFolderButIsNoLinkItself) {
+  test::TempFolder folder;
+  std::filesystem::create_directory(folder / "real");
+  std::filesystem::create_directory_symlink("real", folder / "linked");
+  EXPECT_OK(Database::Open(folder / "linked/a.db"));
+  EXPECT_TRUE(std::filesystem::exists(folder / "real/a.db"));
+  std::filesystem::create_symlink("a.db", folder / "real/b.db");
+  EXPECT_FAILS(ErrorCode::kIo, Database::Open(folder / "linked/b.db"));
+}
+
 TEST(Schema, IsRefusedWhenANewerProgramWroteIt) {
   test::TempFolder folder;
   for (const int version : {SchemaVersion() + 1, -1}) {
