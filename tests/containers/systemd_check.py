@@ -52,7 +52,7 @@ class Unit(unittest.TestCase):
 
     def test_5_a_crash_is_followed_by_a_start(self):
         pid = inside('systemctl', 'show', '-p', 'MainPID', '--value', 'strata')
-        inside('kill', '-9', pid)
+        inside('systemctl', 'kill', '--signal=KILL', 'strata')
         wait_until(lambda: inside('systemctl', 'show', '-p', 'MainPID', '--value', 'strata') not in (pid, '0')
                    and inside('systemctl', 'is-active', 'strata', check=False) == 'active', 'the restart')
         inside('strata', 'health')
