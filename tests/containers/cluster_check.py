@@ -3,6 +3,7 @@
 restarted, workers killed; every result with the command's bytes."""
 import collections
 import json
+import subprocess
 import threading
 import time
 import unittest
@@ -78,15 +79,15 @@ class Cluster(unittest.TestCase):
         self.await_health(service)
 
     def await_health(self, service):
-        url = 'http://127.0.0.1:8080/readyz'
-        wait_until(lambda: self.answers(service, url), f'{service} to be ready')
+        wait_until(lambda: self.answers(service), f'{service} to be ready')
 
-    def answers(self, service, url):
-        try:
-            podman('exec', self.project.container(service), 'strata', 'health', url)
-            return True
-        except AssertionError:
-            return False
+    def answers(self, service):
+        """Whether it is ready: a server as the front sees it, a worker as it sees itself."""
+        if service.startswith('server'):
+            return self.project.request('GET', f'/front/{service}')[0] == 200
+        done = subprocess.run(['podman', 'exec', self.project.container(service), 'strata', 'health',
+                               'http://127.0.0.1:8080/readyz'], capture_output=True)
+        return done.returncode == 0
 
     def await_jobs(self, load):
         for job in load.jobs:
@@ -100,6 +101,9 @@ class Cluster(unittest.TestCase):
             for service in ('server-1', 'server-2', 'worker-1', 'worker-2', 'server-1', 'server-2'):
                 self.restart(service)
         print(f'\nrolling restart: {dict(load.counts)}, faults {len(load.faults)}')
+        if load.faults:
+            log = subprocess.run(['podman', 'logs', self.project.container('front')], capture_output=True, text=True)
+            print('\n'.join(log.stderr.splitlines()[-40:]))
         self.assertEqual(load.faults, [])
         self.await_jobs(load)
 
