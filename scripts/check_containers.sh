@@ -1,12 +1,12 @@
 #!/bin/bash
-# Builds the image and runs the compose files with podman: one node through upload, kill and restart; the cluster
-# through a rolling restart under load, without a failed request, and a restart of PostgreSQL; and the package's unit under a
-# systemd in a container.
+# Builds the image and runs the compose files with podman: one node through upload, kill and restart; the
+# cluster through a rolling restart under load, without a failed request, kills and a restart of PostgreSQL;
+# and the package's unit under a systemd in a container.
 #
 # usage: scripts/check_containers.sh [one-node|systemd|cluster]    Default: all.
-# STRATA_CHECK_IMAGE names an image that was built already; "systemd" needs the package from build/package/deb. STRATA_DEBIAN_MIRROR names another mirror.
-# Exit status 77, and the reason, where podman or what it needs is missing. Leaves the images, which are the next
-# run's cache; `podman image prune` removes them.
+# STRATA_CHECK_IMAGE names an image that was built already; "systemd" needs the package in build/package/deb.
+# STRATA_DEBIAN_MIRROR names another mirror. Exit status 77, and the reason, where podman or what it needs
+# is missing. Leaves the images, which are the next run's cache; `podman image prune` removes them.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 mirror=${STRATA_DEBIAN_MIRROR:-http://deb.debian.org/debian}

@@ -8,7 +8,6 @@
 # Exit status 77: root, debootstrap or the right to mount is missing.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-source=$PWD
 folder=$(realpath -m "${1:-build/package/chroot}")
 mirror=${STRATA_DEBIAN_MIRROR:-http://deb.debian.org/debian}
 root=$folder/root
@@ -24,6 +23,7 @@ done
 unshare --mount true 2>/dev/null || skip "mounting is not allowed here"
 
 step() { echo "--- $1"; }
+# shellcheck disable=SC2016  # What is quoted is for the shell inside.
 inside() {  # A shell's words, in a mount namespace that ends with them: no mount is left over.
   unshare --mount --pid --fork sh -euc '
     root=$1

@@ -5,7 +5,6 @@ import collections
 import json
 import subprocess
 import threading
-import time
 import unittest
 import uuid
 
@@ -62,7 +61,7 @@ class Load:
             'POST', '/v1/jobs', body, {'Content-Type': 'application/json', 'Idempotency-Key': str(uuid.uuid4())})
         if status == 202:
             self.jobs.append(json.loads(answer)['id'])
-        time.sleep(0.2)  # Leaves the queue something to do, not everything.
+        self.over.wait(0.2)  # Leaves the queue something to do, not everything.
         return status
 
 
