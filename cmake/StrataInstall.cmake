@@ -30,6 +30,9 @@ add_library(strata::strata ALIAS strata_both)
 install(TARGETS strata_core strata_io strata_both strata_compile EXPORT strataTargets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT dev)
 install(TARGETS strata RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT strata)
+if(TARGET strata_assimp)
+  install(TARGETS strata_assimp RUNTIME DESTINATION ${CMAKE_INSTALL_LIBEXECDIR}/strata COMPONENT strata)
+endif()
 if(STRATA_SERVICE)
   install(TARGETS strata_serve_program RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR}
     COMPONENT strata)

@@ -10,6 +10,8 @@ find_package(ZLIB REQUIRED)
 find_package(zstd REQUIRED CONFIG)
 find_package(PNG REQUIRED)
 find_package(LibArchive REQUIRED)
+find_package(EXPAT REQUIRED)
+find_package(meshoptimizer REQUIRED CONFIG)
 find_package(nlohmann_json REQUIRED CONFIG)
 find_package(OpenSSL REQUIRED COMPONENTS Crypto)
 

@@ -8,7 +8,7 @@ set(CPACK_PACKAGE_CONTACT "Strata maintainers <maintainers@strata.example>" CACH
 set(strata_library_packages
   Threads=- TBB=libtbb-dev tl-expected=libexpected-dev hwy=libhwy-dev FastFloat=libfast-float-dev
   draco=libdraco-dev ZLIB=zlib1g-dev zstd=libzstd-dev PNG=libpng-dev LibArchive=libarchive-dev
-  nlohmann_json=nlohmann-json3-dev OpenSSL=libssl-dev
+  EXPAT=libexpat1-dev meshoptimizer=libmeshoptimizer-dev nlohmann_json=nlohmann-json3-dev OpenSSL=libssl-dev
   OpenVDB=libopenvdb-dev,libboost-iostreams-dev)
 set(strata_dev_depends "")
 file(STRINGS cmake/StrataLibraryDependencies.cmake strata_finds REGEX "^ *find_package\\(")

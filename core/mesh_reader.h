@@ -10,6 +10,7 @@
 #include <optional>
 #include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "core/mesh_attributes.h"
@@ -92,11 +93,25 @@ struct VertexView {
   }
 };
 
+/// What a file holds beside its triangles, as far as its format has such things. Names may be
+/// empty, and are the file's: any bytes.
+struct MeshContents {
+  std::optional<std::uint64_t> meshes;     ///< Meshes that the file defines.
+  std::optional<std::uint64_t> instances;  ///< How often meshes are placed, in all.
+  std::vector<std::string> materials;      ///< Their names, in file order.
+  std::vector<std::string> textures;       ///< Where each image is: a path, or "embedded".
+  std::string unit;     ///< "metre", "millimetre", …; "" if the file is silent.
+  std::string up_axis;  ///< "y", "z"; "" if neither file nor format says.
+  /// What is there and is no surface, by name, with how many: "points primitives".
+  std::vector<std::pair<std::string, std::uint64_t>> passed_over;
+};
+
 /// What a mesh file says of itself.
 struct MeshInfo {
-  std::string format;       ///< "ply", "obj", "stl", "off"
-  std::string encoding;     ///< "ascii", "binary_little_endian", "binary_big_endian"
+  std::string format;       ///< "ply", "obj", "stl", "off", "gltf", "glb", "drc", "3mf", …
+  std::string encoding;     ///< "ascii", "binary_little_endian", "binary_big_endian", …
   std::string compression;  ///< "none", "gzip", "zstd"
+  MeshContents contents{};
 };
 
 /// What was read so far; final once Read has returned 0.

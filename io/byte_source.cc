@@ -112,17 +112,21 @@ class StringSource : public ByteSource {
   std::size_t position_ = 0;
 };
 
+// What a compressed source held, which says so still.
+class UnpackedSource : public FileSource {
+ public:
+  UnpackedSource(Fd fd, std::uint64_t size, const ByteSource& packed)
+      : FileSource(std::move(fd), 0, size, packed.name()), compression_(packed.compression()) {}
+  std::string compression() const override { return compression_; }
+
+ private:
+  std::string compression_;
+};
+
 // Copies everything that can be read from `fd` to scratch space.
 Result<std::unique_ptr<ByteSource>> Copy(const Fd& fd, const std::string& name,
                                          ScratchFolder* scratch) {
-  std::unique_ptr<ScratchFolder> systems;
-  if (scratch == nullptr) {
-    auto opened = ScratchFolder::OpenSystems();
-    if (!opened) return Forward(opened);
-    systems = std::move(*opened);
-    scratch = systems.get();
-  }
-  auto copy = scratch->NewFile();
+  auto copy = NewScratchFile(scratch);
   if (!copy) return Forward(copy);
   std::vector<char> buffer(std::size_t{1} << 18);
   for (;;) {
@@ -191,6 +195,35 @@ Result<std::unique_ptr<ByteSource>> OpenByteSource(const std::string& path,
   auto stored = path == "-" ? OpenStandardInput(scratch) : OpenPath(path, scratch);
   if (!stored) return stored;
   return Unpack(std::move(*stored));
+}
+
+Result<std::unique_ptr<ScratchFile>> NewScratchFile(ScratchFolder* scratch) {
+  if (scratch != nullptr) return scratch->NewFile();
+  auto systems = ScratchFolder::OpenSystems();
+  if (!systems) return Forward(systems);
+  return (*systems)->NewFile();
+}
+
+Result<std::unique_ptr<ByteSource>> OpenByteSource(Fd fd, const std::string& name,
+                                                   ScratchFolder* scratch) {
+  return FromDescriptor(std::move(fd), name, 0, scratch);
+}
+
+Result<std::unique_ptr<ByteSource>> WithReadAt(std::unique_ptr<ByteSource> source,
+                                               ScratchFolder* scratch) {
+  if (auto ok = source->Seek(0); !ok) return Forward(ok);
+  if (source->can_read_at()) return source;
+  auto copy = NewScratchFile(scratch);
+  if (!copy) return Forward(copy);
+  std::vector<char> buffer(std::size_t{1} << 18);
+  for (;;) {
+    const auto n = source->Read(buffer);
+    if (!n) return Forward(n);
+    if (*n == 0) break;
+    if (auto ok = (*copy)->Append({buffer.data(), *n}); !ok) return Forward(ok);
+  }
+  const std::uint64_t size = (*copy)->size();
+  return std::make_unique<UnpackedSource>(Fd((*copy)->Release()), size, *source);
 }
 
 std::unique_ptr<ByteSource> MemorySource(std::string bytes, std::string name) {

@@ -12,6 +12,7 @@
 
 #include "core/result.h"
 #include "core/scratch.h"
+#include "io/fd.h"
 
 namespace strata::io {
 
@@ -44,6 +45,20 @@ class ByteSource {
 /// their magic bytes. Errors: kNotFound, kIo.
 Result<std::unique_ptr<ByteSource>> OpenByteSource(const std::string& path,
                                                    ScratchFolder* scratch = nullptr);
+
+/// An open file as it is stored, not unpacked; `name` for messages. What cannot be rewound is
+/// copied first. Errors: kNotFound (a directory), kIo.
+Result<std::unique_ptr<ByteSource>> OpenByteSource(Fd fd, const std::string& name,
+                                                   ScratchFolder* scratch);
+
+/// `source` if ReadAt works on it; else its unpacked bytes, copied to `scratch` (the system's
+/// without it), under its name and with its compression(). Stands at byte 0. Errors: those of
+/// reading `source`; kIo.
+Result<std::unique_ptr<ByteSource>> WithReadAt(std::unique_ptr<ByteSource> source,
+                                               ScratchFolder* scratch);
+
+/// A new file in `scratch`, or without it in the system's folder. Errors: kIo.
+Result<std::unique_ptr<ScratchFile>> NewScratchFile(ScratchFolder* scratch);
 
 /// The bytes of a string as a source; for tests and fuzzing. Unpacks gzip and zstd like a file.
 std::unique_ptr<ByteSource> MemorySource(std::string bytes, std::string name = "memory");

@@ -9,7 +9,8 @@
 namespace strata::io {
 namespace {
 
-constexpr const char* kReadFormats = "PLY, OBJ, STL or OFF (each also as .gz or .zst)";
+constexpr const char* kReadFormats =
+    "PLY, OBJ, STL, OFF, glTF, GLB, Draco or 3MF (each also as .gz, .zst or .zip)";
 constexpr std::string_view kSpace = " \t\r\n\v\f";
 using namespace std::string_view_literals;
 
@@ -19,9 +20,6 @@ struct Foreign {
   const char* name;
 };
 constexpr std::array kForeign = {
-    Foreign{"glTF"sv, "GLB (binary glTF)"},
-    Foreign{"DRACO"sv, "Draco"},
-    Foreign{"PK\x03\x04"sv, "a ZIP archive (as 3MF, USDZ and zipped models are)"},
     Foreign{"BZh"sv, "bzip2 data"},
     Foreign{"\xfd"
             "7zXZ\0"sv,
@@ -101,17 +99,28 @@ bool IsPly(std::string_view head) {
   return text.starts_with("ply") && (text.size() == 3 || kSpace.find(text[3]) != kSpace.npos);
 }
 
+// By a word of the format, or where the head is too short for one, by the file's suffix.
+bool IsGltf(std::string_view head, std::string_view name) {
+  const std::string_view text = SkipSpaceAndMark(head);
+  return text.starts_with('{') &&
+         (MeshSuffix(name) == "gltf" ||
+          std::any_of(kGltfKeys.begin(), kGltfKeys.end(),
+                      [&](std::string_view key) { return text.find(key) != text.npos; }));
+}
+
+// By the suffix, or by the name of a part that a package needs; either is read the same way.
+bool Is3mf(std::string_view head, std::string_view name) {
+  return MeshSuffix(name) == "3mf" || head.find("[Content_Types].xml") != head.npos ||
+         head.find("3D/3dmodel.model") != head.npos;
+}
+
 const char* ForeignName(std::string_view head) {
   for (const Foreign& foreign : kForeign) {
     if (head.starts_with(foreign.magic)) return foreign.name;
   }
   if (head.size() > 262 && head.substr(257, 5) == "ustar") return "a tar archive";
   const std::string_view text = SkipSpaceAndMark(head);
-  if (text.starts_with('{')) {
-    const bool gltf = std::any_of(kGltfKeys.begin(), kGltfKeys.end(),
-                                  [&](std::string_view k) { return text.find(k) != text.npos; });
-    return gltf ? "glTF" : "JSON";
-  }
+  if (text.starts_with('{')) return "JSON";
   if (!text.starts_with('<')) return nullptr;
   for (const Foreign& foreign : kForeignWords) {
     if (text.find(foreign.magic) != text.npos) return foreign.name;
@@ -150,10 +159,19 @@ std::optional<MeshFormat> FromSuffix(std::string_view name) {
   if (suffix == "obj") return MeshFormat::kObj;
   if (suffix == "stl") return MeshFormat::kStl;
   if (suffix == "off") return MeshFormat::kOff;
+  if (suffix == "gltf") return MeshFormat::kGltf;
+  if (suffix == "glb") return MeshFormat::kGlb;
+  if (suffix == "drc") return MeshFormat::kDraco;
+  if (suffix == "3mf") return MeshFormat::k3mf;
   return std::nullopt;
 }
 
 }  // namespace
+
+const char* NameOf(MeshFormat format) {
+  constexpr std::array kNames = {"ply", "obj", "stl", "off", "gltf", "glb", "drc", "3mf", "zip"};
+  return kNames[static_cast<std::size_t>(format)];
+}
 
 std::string MeshSuffix(std::string_view name) {
   const auto take = [&name] {
@@ -173,6 +191,12 @@ Result<MeshFormat> DetectFormat(const FileFacts& file) {
   if (file.head.empty()) return Fail(ErrorCode::kCorruptInput, file.name + ": the file is empty");
   if (IsPly(file.head)) return MeshFormat::kPly;
   if (HasBinaryStlSize(file.head, file.size)) return MeshFormat::kStl;
+  if (file.head.starts_with("glTF")) return MeshFormat::kGlb;
+  if (file.head.starts_with("PK\x03\x04") || file.head.starts_with("PK\x05\x06")) {
+    return Is3mf(file.head, file.name) ? MeshFormat::k3mf : MeshFormat::kZip;
+  }
+  if (file.head.starts_with("DRACO")) return MeshFormat::kDraco;
+  if (IsGltf(file.head, file.name)) return MeshFormat::kGltf;
   if (const char* foreign = ForeignName(file.head)) {
     return Fail(ErrorCode::kUnsupported, file.name + ": found " + foreign +
                                              ", which is not read yet; expected " + kReadFormats);

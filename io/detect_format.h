@@ -11,7 +11,10 @@
 
 namespace strata::io {
 
-enum class MeshFormat : std::uint8_t { kPly, kObj, kStl, kOff };
+enum class MeshFormat : std::uint8_t { kPly, kObj, kStl, kOff, kGltf, kGlb, kDraco, k3mf, kZip };
+
+/// "ply", "obj", …: MeshInfo::format.
+const char* NameOf(MeshFormat format);
 
 /// What can be known of a file before reading it.
 struct FileFacts {

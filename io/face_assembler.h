@@ -45,6 +45,9 @@ class FaceAssembler {
 
   /// Clears `batch`, puts triangles left over from the batch before into it, and goes on with it.
   void Begin(TriangleBatch& batch);
+  /// Goes on into `batch` behind what stands there. For meshes of triangles alone: nothing is ever
+  /// left over.
+  void Continue(TriangleBatch& batch) { batch_ = &batch; }
   TriangleBatch& batch() { return *batch_; }
   /// The batch is full, or ends here for far()'s sake.
   bool full() const {

@@ -10,6 +10,7 @@
 #include "io/decimal.h"
 #include "io/face_assembler.h"
 #include "io/index_token.h"
+#include "io/obj_materials.h"
 #include "io/quote.h"
 #include "io/text_scanner.h"
 #include "io/vertex_store.h"
@@ -36,6 +37,7 @@ class ObjReader : public MeshReader {
   ObjReader(std::unique_ptr<ByteSource> source, const OpenOptions& options)
       : source_(std::move(source)),
         info_{"obj", "ascii", source_->compression()},
+        options_(options),
         text_(*source_, options.max_line_bytes),
         vertices_(*source_, options) {}
 
@@ -44,10 +46,13 @@ class ObjReader : public MeshReader {
     while (NextStatement()) {
       if (statement_ == Statement::kFace) NoteFace();
       if (statement_ == Statement::kVertex && !ParseVertex()) return LoadFailure();
+      if (statement_ == Statement::kOther) NoteLibrary();
     }
     if (text_.failed()) return text_.failure();
     if (auto ok = vertices_.Finish(); !ok) return ok;
     faces_.SetVertices(vertices_);
+    if (auto ok = materials_.Load(source_->name(), options_); !ok) return ok;
+    materials_.Describe(info_.contents);
     return Rewind();
   }
 
@@ -138,6 +143,15 @@ class ObjReader : public MeshReader {
                         (text_.terminated() ? "line, " : "file, ") + expected);
   }
 
+  void NoteLibrary() {
+    constexpr std::string_view kKeyword = "mtllib";
+    const std::string_view line = text_.line();
+    if (line.size() > kKeyword.size() && line.starts_with(kKeyword) &&
+        IsBlank(line[kKeyword.size()])) {
+      materials_.AddLibrary(line.substr(kKeyword.size()));
+    }
+  }
+
   void NoteFace() {
     if (extent_.end == 0) {
       extent_.begin = text_.line_offset();
@@ -180,6 +194,8 @@ class ObjReader : public MeshReader {
 
   std::unique_ptr<ByteSource> source_;
   MeshInfo info_;
+  const OpenOptions options_;
+  ObjMaterials materials_;
   TextScanner text_;
   VertexStore vertices_;
   FaceAssembler faces_;

@@ -17,8 +17,8 @@ std::uint64_t BudgetOf(const OpenOptions& options) {
 
 }  // namespace
 
-VertexStore::VertexStore(const ByteSource& source, const OpenOptions& options)
-    : source_(source),
+VertexStore::VertexStore(std::string name, const OpenOptions& options)
+    : name_(std::move(name)),
       options_(options),
       budget_(BudgetOf(options)),
       spill_at_(budget_),
@@ -26,7 +26,7 @@ VertexStore::VertexStore(const ByteSource& source, const OpenOptions& options)
 
 bool VertexStore::TakeBudget() {
   if (options_.memory == nullptr) return true;
-  auto share = options_.memory->Take(budget_, source_.name() + ": the vertices");
+  auto share = options_.memory->Take(budget_, name_ + ": the vertices");
   if (!share) return Fail(share.error());
   share_ = std::move(*share);
   return true;
@@ -34,7 +34,7 @@ bool VertexStore::TakeBudget() {
 
 bool VertexStore::Spill() {
   if (options_.scratch == nullptr) {
-    return Fail({ErrorCode::kOverBudget, source_.name() + ": the vertices need more than " +
+    return Fail({ErrorCode::kOverBudget, name_ + ": the vertices need more than " +
                                              std::to_string(array_.bytes()) +
                                              " bytes, their budget is " + std::to_string(budget_) +
                                              "; no scratch space was given"});
@@ -53,7 +53,7 @@ bool VertexStore::Spill() {
 bool VertexStore::Adopt(std::unique_ptr<VertexFile> file) {
   if (!TakeBudget()) return false;
   spilled_ = file->size();
-  auto far = FarVertices::Open(std::move(file), budget_, options_, source_.name());
+  auto far = FarVertices::Open(std::move(file), budget_, options_, name_);
   if (!far) return Fail(far.error());
   far_ = std::move(*far);
   return true;
@@ -62,11 +62,11 @@ bool VertexStore::Adopt(std::unique_ptr<VertexFile> file) {
 Result<void> VertexStore::Finish() {
   if (spill_ != nullptr) {
     if (array_.size() > 0 && !Spill()) return failure();
-    auto far = FarVertices::Open(std::move(spill_), budget_, options_, source_.name());
+    auto far = FarVertices::Open(std::move(spill_), budget_, options_, name_);
     if (!far) return Forward(far);
     far_ = std::move(*far);
   } else if (far_ == nullptr && options_.memory != nullptr) {
-    auto share = options_.memory->Take(array_.bytes(), source_.name() + ": the vertices");
+    auto share = options_.memory->Take(array_.bytes(), name_ + ": the vertices");
     if (!share) return Forward(share);
     share_ = std::move(*share);
   }

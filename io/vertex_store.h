@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "core/memory_account.h"
 #include "io/byte_source.h"
@@ -20,8 +21,10 @@ namespace strata::io {
 /// one at a time. Throws std::bad_alloc.
 class VertexStore {
  public:
-  /// Both must outlive the store.
-  VertexStore(const ByteSource& source, const OpenOptions& options);
+  /// `name` is the input's, for messages. What `options` points at must outlive the store.
+  VertexStore(std::string name, const OpenOptions& options);
+  VertexStore(const ByteSource& source, const OpenOptions& options)
+      : VertexStore(source.name(), options) {}
 
   std::uint64_t size() const { return spilled_ + array_.size(); }
 
@@ -64,7 +67,7 @@ class VertexStore {
     return false;
   }
 
-  const ByteSource& source_;
+  const std::string name_;
   const OpenOptions options_;
   std::uint64_t budget_, spill_at_;
   const bool limited_;

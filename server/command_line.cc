@@ -35,11 +35,11 @@ class HelpFormatter : public CLI::Formatter {
     if (app->get_name() == "merge") {
       return "\nUsage: strata merge PART.run... -o OUTPUT [options]\n";
     }
-    if (app->get_name() == "info") return "\nUsage: strata info MESH [--json]\n";
+    if (app->get_name() == "info") return "\nUsage: strata info MESH [--json] [--assimp]\n";
     return "\nUsage: strata sample INPUT -o OUTPUT [options]\n"
            "       strata scan MESH --share I/N -o PART.run [options]\n"
            "       strata merge PART.run... -o OUTPUT [options]\n"
-           "       strata info MESH [--json]\n"
+           "       strata info MESH [--json] [--assimp]\n"
 #ifdef STRATA_SERVICE
            "       strata serve [options]\n"
            "       strata key NAME [--role full|read]\n"
@@ -128,15 +128,15 @@ CLI::App* AddSample(CLI::App& app, RawSample& raw) {
   sample->allow_extras();
   sample->footer(ExamplesText() + '\n' + ExitCodesText());
   AddOptional(*sample, "INPUT", raw.input, "", "Options",
-              "Mesh file: PLY, OBJ, STL or OFF, also as .gz or .zst; told by its\n"
-              "content. - is standard input.");
+              "Mesh file: PLY, OBJ, STL, OFF, glTF, GLB, Draco or 3MF, also as\n"
+              ".gz, .zst or in a .zip; told by its content. - is standard input.");
   AddRows(*sample, Subcommand::kSample, raw);
   return sample;
 }
 
 struct RawInfo {
   std::optional<std::string> input;
-  bool json = false;
+  bool json = false, assimp = false;
 };
 
 CLI::App* AddInfo(CLI::App& app, RawInfo& raw) {
@@ -145,6 +145,7 @@ CLI::App* AddInfo(CLI::App& app, RawInfo& raw) {
   info->footer(ExitCodesText());
   AddOptional(*info, "MESH", raw.input, "", "Options", "Mesh file; - is standard input.");
   info->add_flag("--json", raw.json, "Print JSON instead of text.");
+  info->add_flag("--assimp", raw.assimp, "Let assimp read formats that Strata does not.");
   return info;
 }
 
@@ -335,6 +336,7 @@ void ConvertRun(const RawSample& raw, Converter& convert, SampleCommand& command
   command.simd = raw.simd.value_or(command.simd);
   command.resume = raw.resume;
   command.quiet = raw.quiet;
+  command.assimp = raw.assimp;
 }
 
 // "I/N" with I < N <= most; nothing if it is not.
@@ -431,7 +433,7 @@ Result<Command> ConvertMerge(RawSample raw) {
 
 Result<Command> ConvertInfo(const RawInfo& raw) {
   if (!raw.input || raw.input->empty()) return Refuse("MESH is missing; - is standard input");
-  return Command(InfoCommand{*raw.input, raw.json});
+  return Command(InfoCommand{*raw.input, raw.json, raw.assimp});
 }
 
 }  // namespace

@@ -39,6 +39,7 @@ struct SampleCommand {
   std::string checkpoint_folder, checkpoint_key;
   bool checkpoints = true;  ///< Leave something to go on with, should it be killed.
   bool quiet = false;
+  bool assimp = false;  ///< Formats that Strata does not read go to assimp.
 };
 
 /// The smallest --memory, bytes.
@@ -63,6 +64,7 @@ struct MergeCommand {
 struct InfoCommand {
   std::string input;  ///< Path, or "-" for standard input.
   bool json = false;
+  bool assimp = false;  ///< Other formats through assimp.
 };
 
 /// `--help` or `--version`: what to print to standard output.

@@ -22,6 +22,19 @@ Json ToJson(const MeshInfo& info) {
   return {{"format", info.format}, {"encoding", info.encoding}, {"compression", info.compression}};
 }
 
+Json ContentsToJson(const MeshContents& contents) {
+  Json json = {{"materials", contents.materials}, {"textures", contents.textures}};
+  const auto number = [](const std::optional<std::uint64_t>& n) { return n ? Json(*n) : Json(); };
+  const auto text = [](const std::string& s) { return s.empty() ? Json() : Json(s); };
+  json["meshes"] = number(contents.meshes);
+  json["instances"] = number(contents.instances);
+  json["unit"] = text(contents.unit);
+  json["up_axis"] = text(contents.up_axis);
+  json["passed_over"] = Json::object();
+  for (const auto& [what, n] : contents.passed_over) json["passed_over"][what] = n;
+  return json;
+}
+
 Json SkippedToJson(const SkipCounts& skipped) {
   Json json = Json::object();
   for (std::size_t i = 0; i < skipped.size(); ++i) json[kSkipReasonNames[i]] = skipped[i];

@@ -16,6 +16,8 @@ using Json = nlohmann::ordered_json;
 Json ToJson(Vec3 v);                ///< [x, y, z]
 Json ToJson(const Bounds& bounds);  ///< {"min": …, "max": …}, or null when empty.
 Json ToJson(const MeshInfo& info);  ///< {"format": …, "encoding": …, "compression": …}
+/// What the file holds beside triangles; null where its format does not say.
+Json ContentsToJson(const MeshContents& contents);
 Json SkippedToJson(const SkipCounts& skipped);   ///< Reason → count, all reasons.
 Json AttributesToJson(AttributeSet attributes);  ///< Names in the order of the bits.
 Json LatticeToJson(const LatticeSpec& spec, const Lattice& lattice);

@@ -99,8 +99,12 @@ constexpr std::array<OptionRow, 21> kOptionRows = {{
      &RawSample::batch_size},
 }};
 
-constexpr std::array<FlagRow, 3> kFlagRows = {{
+constexpr std::array<FlagRow, 4> kFlagRows = {{
     {"--strict", kHow, "A triangle that would be skipped is an error instead.", &RawSample::strict},
+    {"--assimp", kHow,
+     "Let formats that Strata does not read itself (FBX, COLLADA, 3DS, …)\n"
+     "be read by assimp, in a process of its own that is shut in.",
+     &RawSample::assimp},
     {"--resume", kRun,
      "Go on from where the same job was killed, if --scratch still has\n"
      "what it left; and leave that again, should this one fail.",
@@ -118,8 +122,8 @@ bool Takes(Subcommand command, std::string_view names) {
   if (names == "--method" || names == "--count") return false;  // Not of shares.
   // What decides the reservoirs, and what decides the rest.
   constexpr std::string_view kOfScan[] = {
-      "--resolution", "--voxel-size", "--height",     "--lambda", "--seed",
-      "--integrator", "--simd",       "--batch-size", "--strict", "--resume"};
+      "--resolution", "--voxel-size", "--height", "--lambda", "--seed",  "--integrator",
+      "--simd",       "--batch-size", "--strict", "--resume", "--assimp"};
   constexpr std::string_view kOfMerge[] = {"--min-distance", "--format",  "--position-error",
                                            "--tile-samples", "--picture", "--summary"};
   const bool of_scan = std::ranges::find(kOfScan, names) != std::end(kOfScan);

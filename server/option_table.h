@@ -20,7 +20,7 @@ struct RawSample {
   std::optional<std::string> method, count, lambda, min_distance, seed, integrator;
   std::optional<std::string> format, attributes, position_error, tile_samples, picture, summary;
   std::optional<std::string> memory, scratch, threads, simd, batch_size;
-  bool strict = false, resume = false, quiet = false;
+  bool strict = false, resume = false, quiet = false, assimp = false;
 };
 
 /// The commands that take options from the tables below.

@@ -3,6 +3,9 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <filesystem>
+#include <system_error>
+
 #include "core/version.h"
 #include "io/file_digest.h"
 #include "io/sha256.h"
@@ -18,16 +21,18 @@ Result<std::unique_ptr<ScratchFolder>> OpenScratch(const std::optional<std::stri
 
 Result<std::string> JobKey(const SampleCommand& command, const Share& share,
                            const std::optional<Lattice>& lattice) {
-  const auto digest = io::FileDigest(command.input);
+  const auto [file, member] = io::SplitMember(command.input);
+  const auto digest = io::FileDigest(file);
   if (!digest) return Forward(digest);
   struct stat status {};
-  if (stat(command.input.c_str(), &status) != 0) {
+  if (stat(file.c_str(), &status) != 0) {
     return Fail(ErrorCode::kNotFound, command.input + ": vanished while it was opened");
   }
   const SampleOptions& options = command.options;
   const Json job = {kVersion,
                     geteuid(),
                     *digest,
+                    member,
                     status.st_mtim.tv_sec,
                     status.st_mtim.tv_nsec,
                     LatticeToJson(options.lattice, lattice.value_or(Lattice{})),
@@ -43,12 +48,28 @@ Result<std::string> JobKey(const SampleCommand& command, const Share& share,
   return io::Sha256Hex(job.dump()).substr(0, 32);
 }
 
-io::OpenOptions OpenWithin(RunContext& context) {
+namespace {
+
+// Beside this program where both were built, else where it is installed.
+std::string AssimpProgram() {
+  std::error_code failed;
+  const auto folder = std::filesystem::read_symlink("/proc/self/exe", failed).parent_path();
+  const auto beside = folder / "strata-assimp";
+  if (std::filesystem::exists(beside, failed)) return beside.string();
+  return (folder.parent_path() / "libexec/strata/strata-assimp").string();
+}
+
+}  // namespace
+
+io::OpenOptions OpenWithin(RunContext& context, bool assimp) {
   io::OpenOptions open;
   open.memory = &context.memory();
   open.vertex_budget = context.memory().budget() / 3;
   open.scratch = context.scratch();
   open.context = &context;
+  if (assimp) {
+    open.assimp = AssimpProgram();
+  }
   return open;
 }
 

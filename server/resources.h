@@ -24,7 +24,8 @@ Result<std::unique_ptr<ScratchFolder>> OpenScratch(const std::optional<std::stri
 Result<std::string> JobKey(const SampleCommand& command, const Share& share,
                            const std::optional<Lattice>& lattice);
 
-/// How to open a mesh for a job: its vertices take at most a third of the context's budget.
-io::OpenOptions OpenWithin(RunContext& context);
+/// How to open a mesh for a job: its vertices take at most a third of the context's budget. With
+/// `assimp`, what is of another format goes to the program strata-assimp beside this one.
+io::OpenOptions OpenWithin(RunContext& context, bool assimp = false);
 
 }  // namespace strata::server

@@ -52,6 +52,63 @@ std::string BoundsText(const Bounds& bounds) {
   return bounds.empty() ? "none" : PointText(bounds.min) + "  to  " + PointText(bounds.max);
 }
 
+// A name of the file's, harmless on a terminal.
+std::string Printable(const std::string& name) {
+  std::string text;
+  for (const char c : name.substr(0, 80)) text += c >= ' ' && c != '\x7f' ? c : '?';
+  return text.empty() ? "(unnamed)" : text;
+}
+
+std::string Listed(const std::vector<std::string>& names) {
+  constexpr std::size_t kMost = 10;
+  std::string text = Grouped(names.size());
+  for (std::size_t i = 0; i < names.size() && i < kMost; ++i) {
+    text += (i == 0 ? ": " : ", ") + Printable(names[i]);
+  }
+  return names.size() > kMost ? text + ", …" : text;
+}
+
+// Lines of what is there; none for what is not.
+std::string ContentsText(const MeshContents& contents) {
+  std::ostringstream out;
+  if (contents.meshes) {
+    out << "meshes     " << Grouped(*contents.meshes) << ", placed "
+        << Grouped(contents.instances.value_or(0)) << " times\n";
+  }
+  if (!contents.unit.empty()) out << "unit       " << Printable(contents.unit) << '\n';
+  if (!contents.up_axis.empty()) out << "up         " << contents.up_axis << '\n';
+  if (!contents.materials.empty()) out << "materials  " << Listed(contents.materials) << '\n';
+  if (!contents.textures.empty()) out << "textures   " << Listed(contents.textures) << '\n';
+  for (const auto& [what, n] : contents.passed_over) {
+    out << "passed     " << Grouped(n) << ' ' << what << '\n';
+  }
+  return out.str();
+}
+
+Json RangeToJson(const AttributeRange& each) {
+  const MeshAttribute& attribute = each.attribute;
+  Json json = {{"name", attribute.name},
+               {"type", NameOf(attribute.type)},
+               {"components", attribute.components},
+               {"domain", NameOf(attribute.domain)},
+               {"semantic", NameOf(attribute.semantic)},
+               {"color_space", NameOf(attribute.color_space)},
+               {"normalized", attribute.normalized},
+               {"names", attribute.names},
+               {"min", nullptr},
+               {"max", nullptr}};
+  if (!each.min.empty()) json["min"] = each.min, json["max"] = each.max;
+  return json;
+}
+
+std::string RangeText(const AttributeRange& each) {
+  std::string text = Describe(each.attribute);
+  for (std::size_t i = 0; i < each.min.size(); ++i) {
+    text += (i == 0 ? ": " : ", ") + Short(each.min[i]) + " to " + Short(each.max[i]);
+  }
+  return text;
+}
+
 }  // namespace
 
 std::string SummaryJson(const SampleCommand& command, const SampleStats& stats,
@@ -124,17 +181,22 @@ std::string PartialText(const std::string& output, const PartialInfo& info, std:
   return out.str();
 }
 
-std::string InfoJson(const MeshInfo& info, const MeshSummary& summary) {
+std::string InfoJson(const MeshInfo& info, const MeshSummary& summary,
+                     const std::vector<AttributeRange>& attributes) {
   Json json = ToJson(info);
   json.update(ReadToJson(summary.read, summary.skipped));
   json["surface_triangles"] = summary.surface_triangles;
   json["bounds"] = ToJson(summary.bounds);
   json["vertex_bounds"] = ToJson(summary.vertex_bounds);
   json["area"] = summary.area;
-  return json.dump(2) + '\n';
+  json["contents"] = ContentsToJson(info.contents);
+  json["attributes"] = Json::array();
+  for (const AttributeRange& each : attributes) json["attributes"].push_back(RangeToJson(each));
+  return json.dump(2, ' ', false, Json::error_handler_t::replace) + '\n';
 }
 
-std::string InfoText(const MeshInfo& info, const MeshSummary& summary) {
+std::string InfoText(const MeshInfo& info, const MeshSummary& summary,
+                     const std::vector<AttributeRange>& attributes) {
   std::ostringstream out;
   out << "format     " << info.format << ", " << info.encoding;
   if (info.compression != "none") out << ", " << info.compression;
@@ -142,7 +204,9 @@ std::string InfoText(const MeshInfo& info, const MeshSummary& summary) {
       << Grouped(summary.read.faces) << "\ntriangles  " << Grouped(summary.read.triangles)
       << "\nskipped    " << Grouped(Sum(summary.skipped)) << SkippedByReason(summary.skipped)
       << "\nbounds     " << BoundsText(summary.bounds) << "\narea       " << Short(summary.area)
-      << '\n';
+      << '\n'
+      << ContentsText(info.contents);
+  for (const AttributeRange& each : attributes) out << "attribute  " << RangeText(each) << '\n';
   return out.str();
 }
 

@@ -3,10 +3,12 @@
 
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "core/partial.h"
 #include "core/sample_mesh.h"
 #include "core/summarize_mesh.h"
+#include "server/attribute_ranges.h"
 #include "server/command_line.h"
 
 namespace strata::server {
@@ -32,8 +34,10 @@ std::string SummaryText(const SampleCommand& command, const SampleStats& stats,
 std::string PartialText(const std::string& output, const PartialInfo& info, std::uint64_t bytes);
 
 /// `strata info --json`, indented, with a line end.
-std::string InfoJson(const MeshInfo& info, const MeshSummary& summary);
+std::string InfoJson(const MeshInfo& info, const MeshSummary& summary,
+                     const std::vector<AttributeRange>& attributes = {});
 /// `strata info`.
-std::string InfoText(const MeshInfo& info, const MeshSummary& summary);
+std::string InfoText(const MeshInfo& info, const MeshSummary& summary,
+                     const std::vector<AttributeRange>& attributes = {});
 
 }  // namespace strata::server

@@ -13,20 +13,6 @@ namespace {
 
 constexpr char kTokenKind = 'm';
 
-const char* NameOf(io::MeshFormat format) {
-  switch (format) {
-    case io::MeshFormat::kPly:
-      return "ply";
-    case io::MeshFormat::kObj:
-      return "obj";
-    case io::MeshFormat::kStl:
-      return "stl";
-    case io::MeshFormat::kOff:
-      return "off";
-  }
-  return "";
-}
-
 ModelInfo InfoOf(const Row& row) {
   ModelInfo info;
   info.name = row.Text(0);
@@ -114,7 +100,7 @@ std::string ModelStore::FormatOf(int fd, const std::string& name) const {
   }
   const auto format =
       io::DetectFormat({std::string_view(head).substr(0, filled), (*source)->size(), name});
-  return format ? NameOf(*format) : "";
+  return format ? io::NameOf(*format) : "";
 }
 
 Result<PutModel> ModelStore::Put(const std::string& name, const BlobPin& blob,

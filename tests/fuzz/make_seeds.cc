@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "tests/fuzz/mesh_seeds.h"
 #include "tests/support/compress.h"
 #include "tests/support/mesh_text.h"
 
@@ -112,8 +113,10 @@ int main(int argc, char** argv) {
   if (argc != 2) return 1;
   const fs::path folder = argv[1];
   std::vector<std::string> any;
-  for (const auto& [name, files] : {std::pair("ply", PlySeeds()), std::pair("stl", StlSeeds()),
-                                    std::pair("obj", ObjSeeds()), std::pair("off", OffSeeds())}) {
+  for (const auto& [name, files] :
+       {std::pair("ply", PlySeeds()), std::pair("stl", StlSeeds()), std::pair("obj", ObjSeeds()),
+        std::pair("off", OffSeeds()), std::pair("gltf", GltfSeeds()),
+        std::pair("drc", DracoSeeds()), std::pair("archive", ArchiveSeeds())}) {
     WriteAll(folder / name, files);
     any.insert(any.end(), files.begin(), files.end());
     any.push_back(strata::test::Gzip(files[0]));

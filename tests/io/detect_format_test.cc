@@ -47,7 +47,7 @@ TEST(DetectFormat, FindsEveryMemberOfTheOffFamily) {
 
 TEST(DetectFormat, TakesOffWithoutItsWordByTheSuffix) {
   ExpectFormat(MeshFormat::kOff, "3 1 0\n0 0 0\n", "a/b.OFF.gz");
-  ExpectRefused("3 1 0\n0 0 0\n", "expected PLY, OBJ, STL or OFF");
+  ExpectRefused("3 1 0\n0 0 0\n", "expected PLY, OBJ, STL, OFF");
 }
 
 TEST(DetectFormat, FindsObjByItsStatements) {
@@ -86,12 +86,18 @@ TEST(DetectFormat, LeavesDamagedFilesOfAKnownSuffixToTheirReader) {
   ExpectFormat(MeshFormat::kObj, "what 1 2 3\n", "odd.obj");
 }
 
+TEST(DetectFormat, FindsGltfDracoAndArchivesByTheirFirstBytes) {
+  ExpectFormat(MeshFormat::kGlb, "glTF\x02\0\0\0"s, "wrong.obj");
+  ExpectFormat(MeshFormat::kGltf, "\xef\xbb\xbf{ \"asset\": { \"version\": \"2.0\" } }");
+  ExpectFormat(MeshFormat::kGltf, "{\n\"accessors\" : [", "wrong.ply");
+  ExpectFormat(MeshFormat::kGltf, "{", "cut.gltf");
+  ExpectFormat(MeshFormat::kZip, "PK\x03\x04rest"s);
+  ExpectFormat(MeshFormat::k3mf, "PK\x03\x04rest"s, "model.3mf");
+  ExpectFormat(MeshFormat::kDraco, "DRACO\x02\x02"s, "model.obj");
+}
+
 TEST(DetectFormat, RefusesOtherFormatsByName) {
-  ExpectRefused("glTF\x02\0\0\0"s, "GLB");
-  ExpectRefused("{ \"asset\": { \"version\": \"2.0\" } }", "glTF");
   ExpectRefused("{ \"a\": 1 }", "JSON");
-  ExpectRefused("DRACO\x02\x02"s, "Draco", "model.obj");
-  ExpectRefused("PK\x03\x04rest"s, "ZIP", "model.3mf");
   ExpectRefused("BZh91AY", "bzip2");
   ExpectRefused(
       "\xfd"
@@ -106,7 +112,7 @@ TEST(DetectFormat, RefusesOtherFormatsByName) {
 
 TEST(DetectFormat, SaysWhatItFoundAndWhatItReads) {
   ExpectRefused("once upon a time there was", "'once upon a time'");
-  ExpectRefused("once upon a time", "expected PLY, OBJ, STL or OFF");
+  ExpectRefused("once upon a time", "expected PLY, OBJ, STL, OFF");
   ExpectRefused("\x01\x02\xff"s, "bytes 01 02 ff");
   auto empty = Detect("");
   ASSERT_FALSE(empty);

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <optional>
 #include <random>
 #include <sstream>
@@ -14,6 +15,7 @@
 #include "tests/support/compress.h"
 #include "tests/support/failing_source.h"
 #include "tests/support/read_mesh.h"
+#include "tests/support/temp_folder.h"
 
 namespace strata::io {
 namespace {
@@ -336,6 +338,25 @@ TEST(ObjReader, TakesEveryPrefixForWhatItSaysOrRefusesIt) {
     EXPECT_EQ(mesh->counts.faces, expected->faces);
   }
   EXPECT_GT(refused, 40);
+}
+
+TEST(ObjReader, ReadsMaterialsBesideItAndNowhereElse) {
+  test::TempFolder folder;
+  std::filesystem::create_directory(folder / "in");
+  test::WriteFile(folder / "secret.mtl", "newmtl secret\n");
+  test::WriteFile(
+      folder / "in/a b.mtl",
+      "newmtl red paint\n map_Kd -s 1 1 1 -clamp on tex\\red paint.png\nnewmtl plain\n");
+  test::WriteFile(folder / "in/m.obj",
+                  "mtllib a b.mtl\nmtllib ../secret.mtl\nmtllib none.mtl\nmtllib a b.mtl\n"
+                  "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl plain\nf 1 2 3\n");
+  const auto reader = OpenMesh(folder / "in/m.obj");
+  ASSERT_TRUE(reader) << reader.error().message;
+  const MeshContents& contents = (*reader)->info().contents;
+  EXPECT_EQ(contents.materials, (std::vector<std::string>{"red paint", "plain"}));
+  EXPECT_EQ(contents.textures, std::vector<std::string>{"tex\\red paint.png"});
+  ASSERT_EQ(contents.passed_over.size(), 1u);
+  EXPECT_EQ(contents.passed_over[0].second, 2u);
 }
 
 }  // namespace

@@ -233,6 +233,11 @@ TEST(OptionQuiet, IsOffByDefault) {
   EXPECT_TRUE(Sample("--quiet").quiet);
 }
 
+TEST(OptionAssimp, IsOffByDefault) {
+  EXPECT_FALSE(Sample("").assimp);
+  EXPECT_TRUE(Sample("--assimp").assimp);
+}
+
 TEST(OptionSummary, IsOffByDefault) {
   EXPECT_FALSE(Sample("").summary.has_value());
   EXPECT_EQ(Sample("--summary s.json").summary, "s.json");

@@ -1,0 +1,119 @@
+#include "io/gltf_reader.h"
+
+#include <array>
+#include <map>
+#include <new>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "io/gltf_buffers.h"
+#include "io/gltf_container.h"
+#include "io/gltf_document.h"
+#include "io/gltf_geometry.h"
+#include "io/gltf_scene.h"
+#include "io/placed_reader.h"
+
+namespace strata::io {
+namespace {
+
+class GltfReader : public PlacedReader {
+ public:
+  // `source` is the container's.
+  GltfReader(GltfContainer container, std::unique_ptr<ByteSource> source,
+             const OpenOptions& options)
+      : PlacedReader(std::move(source)),
+        container_(std::move(container)),
+        options_(options),
+        buffers_(container_, document_, options_) {
+    info_.format = container_.binary ? "glb" : "gltf";
+    info_.encoding = "binary_little_endian";
+    info_.compression = this->source().compression();
+  }
+
+  Result<void> Load() {
+    auto document = ReadGltfDocument(container_.json.root, source().name());
+    if (!document) return Forward(document);
+    document_ = std::move(*document);
+    auto scene = UnrollGltf(buffers_, document_);
+    if (!scene) return Forward(scene);
+    scene_ = std::move(*scene);
+    if (auto ok = AddDraws(); !ok) return ok;
+    info_.contents = document_.contents;
+    info_.contents.meshes = document_.meshes.size();
+    info_.contents.instances = scene_.instances.size();
+    for (const auto& [what, n] : passed_over_) info_.contents.passed_over.emplace_back(what, n);
+    return Rewind();
+  }
+
+ protected:
+  Result<std::shared_ptr<PlacedGeometry>> LoadGeometry(std::size_t draw) override {
+    buffers_.Trim();
+    auto loaded = GltfGeometry::Load(buffers_, document_, scene_, draws_[draw], options_);
+    if (!loaded) return Forward(loaded);
+    return std::shared_ptr<PlacedGeometry>(std::move(*loaded));
+  }
+  const Affine& TransformOf(std::size_t number) const override {
+    return scene_.instances[number].transform;
+  }
+
+ private:
+  bool HasSurface(const GltfPrimitive& primitive) {
+    constexpr std::array kNames = {"points primitives", "lines primitives", "lines primitives",
+                                   "lines primitives"};
+    const auto mode = static_cast<std::size_t>(primitive.mode);
+    if (mode < kNames.size()) return ++passed_over_[kNames[mode]], false;
+    if (!primitive.attributes.contains("POSITION")) {
+      return ++passed_over_["primitives without positions"], false;
+    }
+    return true;
+  }
+
+  // Those that have triangles.
+  Result<void> AddDraws() {
+    std::set<std::uint32_t> counted;
+    for (const GltfDraw& draw : scene_.draws) {
+      const GltfPrimitive& primitive = document_.meshes[draw.mesh].primitives[draw.primitive];
+      if (!HasSurface(primitive)) continue;
+      const auto size = MeasureGltf(buffers_, document_, draw.mesh, draw.primitive);
+      if (!size) return Forward(size);
+      // A vertex list that several primitives use is one.
+      const bool first = counted.insert(primitive.attributes.at("POSITION")).second;
+      if (first) vertex_count_ += size->vertices;
+      if (size->triangles == 0) continue;
+      draws_.push_back(draw);
+      const Placement placement{draw.first_instance, draw.instances, size->triangles};
+      if (auto ok = AddPlacement(placement); !ok) return ok;
+    }
+    buffers_.Trim();
+    return {};
+  }
+
+  GltfContainer container_;
+  const OpenOptions options_;
+  GltfDocument document_;
+  GltfBuffers buffers_;
+  GltfScene scene_;
+  std::map<std::string, std::uint64_t> passed_over_;
+  std::vector<GltfDraw> draws_;
+};
+
+}  // namespace
+
+Result<std::unique_ptr<MeshReader>> OpenGltf(std::unique_ptr<ByteSource> source,
+                                             const OpenOptions& options) {
+  const std::string name = source->name();
+  try {
+    auto container = OpenGltfContainer(std::move(source), options);
+    if (!container) return Forward(container);
+    auto opened = container->Release();
+    auto reader = std::make_unique<GltfReader>(std::move(*container), std::move(opened), options);
+    if (auto loaded = reader->Load(); !loaded) return Forward(loaded);
+    return reader;
+  } catch (const std::bad_alloc&) {
+    return Fail(ErrorCode::kOverBudget, name + ": the mesh does not fit into memory");
+  }
+}
+
+}  // namespace strata::io
