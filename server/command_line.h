@@ -27,8 +27,9 @@ struct SampleCommand {
   io::SampleFormat format = io::SampleFormat::kDraco;
   double position_error = 0.01;  ///< Fraction of the cell's edge; 1e-9 to 1.
   std::uint64_t tile_samples = io::kDefaultTileSamples;  ///< In a Draco file; 1 to 2^29 - 1.
-  std::optional<std::string> summary;   ///< Where the JSON goes; "-" is standard output.
-  std::optional<std::string> picture;   ///< Where the PNG goes.
+  std::optional<std::string> summary;              ///< Where the JSON goes; "-" is standard output.
+  std::optional<std::string> picture;              ///< Where the PNG goes.
+  int picture_width = 1024, picture_height = 768;  ///< Its pixels.
   std::string simd = "auto";            ///< "auto" or the name of a vector instruction set.
   std::optional<std::uint64_t> memory;  ///< Bytes, at least kLeastMemory; absent = half of all.
   std::optional<std::string> scratch;   ///< Directory; absent = the system's.

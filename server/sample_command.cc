@@ -178,7 +178,9 @@ Result<void> DrawPicture(const SampleCommand& command, const SampleColumns& samp
   if (!command.picture) return {};
   if (context.cancelled()) return Cancelled();
   const Stopwatch watch;
-  auto drawn = io::WritePicture(*command.picture, samples, {.edge = edge});
+  auto drawn = io::WritePicture(
+      *command.picture, samples,
+      {.edge = edge, .width = command.picture_width, .height = command.picture_height});
   figures.picture_seconds = watch.seconds();
   return drawn;
 }

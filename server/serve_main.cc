@@ -5,8 +5,8 @@
 
 #include "server/program.h"
 #include "server/serve_command.h"
-#include "server/service/job_process.h"
 #include "server/service/worker.h"
+#include "server/service/worker_process.h"
 #include "server/service_tools.h"
 
 namespace strata::server {

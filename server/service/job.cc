@@ -60,10 +60,17 @@ Result<v1::SampleSummary> Run(SampleCommand command, const std::string& input_na
 
 Result<v1::SampleSummary> RunJob(const internal::WorkerJob& job, int mesh, int result,
                                  RunContext& context) {
-  auto command = CommandOf(job.options(), PathOf(mesh), PathOf(result));
+  auto command = CommandOf(job.options(), job.input().empty() ? PathOf(mesh) : job.input(),
+                           job.output().empty() ? PathOf(result) : job.output());
   if (!command) return Forward(command);
+  if (!job.picture().empty()) {
+    command->picture = job.picture();
+    command->picture_width = static_cast<int>(job.picture_width());
+    command->picture_height = static_cast<int>(job.picture_height());
+  }
+  if (!job.simd().empty()) command->simd = job.simd();
   command->memory = job.memory_bytes();
-  command->tiles_in_zip = true;
+  command->tiles_in_zip = job.output().empty();  // A body is one file.
   command->checkpoints =
       false;  // But for jobs with a place for them, nothing outlives the process.
   command->checkpoint_folder = job.checkpoint_folder();

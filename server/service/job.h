@@ -20,9 +20,9 @@ struct JobWatch {
   std::string checkpoint_folder, checkpoint_key;
 };
 
-/// Runs `job` on this thread (and its workers) from the open file `mesh` to the open, empty file
-/// `result`. Both stay open. Memory: job.memory_bytes. Errors: those of RunSample; messages call
-/// the mesh job.input_name.
+/// Runs `job` on this thread (and its workers) from job.input to job.output; where it names none,
+/// from the open file `mesh` to the open, empty file `result`. Both stay open. Memory:
+/// job.memory_bytes. Errors: those of RunSample; messages call the mesh job.input_name.
 Result<v1::SampleSummary> RunJob(const internal::WorkerJob& job, int mesh, int result,
                                  RunContext& context);
 

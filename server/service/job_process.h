@@ -6,8 +6,10 @@
 
 namespace strata::server {
 
-/// The internal command with which the program starts itself again for one job.
-inline constexpr const char* kWorkerCommand = "worker";
+/// What a child said of a job that failed.
+Error ErrorOf(const internal::WorkerFailure& failure);
+/// Why a child ended, by its status of waitpid, before it had said anything of its job.
+Error ErrorOfEnd(const internal::WorkerJob& job, int status);
 
 /// As RunJobInProcess, in a child. The child inherits the two files and nothing else; it dies with
 /// the calling thread. Blocks until it has ended, whatever happens.

@@ -11,6 +11,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <exception>
@@ -22,6 +23,7 @@
 
 #include "io/output_place.h"
 #include "server/service/job.h"
+#include "server/service/worker_files.h"
 
 namespace strata::server {
 namespace {
@@ -87,9 +89,18 @@ class Reporter {
   std::thread thread_;
 };
 
+/// The soft limit: the next job's may be higher.
 void Limit(decltype(RLIMIT_CORE) resource, std::uint64_t amount) {
-  const rlimit limit = {amount, amount};
+  rlimit limit{};
+  if (getrlimit(resource, &limit) != 0) return;
+  limit.rlim_cur = std::min<std::uint64_t>(amount, limit.rlim_max);
   static_cast<void>(setrlimit(resource, &limit));
+}
+
+std::uint64_t ProcessorSeconds() {
+  rusage used{};
+  static_cast<void>(getrusage(RUSAGE_SELF, &used));
+  return static_cast<std::uint64_t>(used.ru_utime.tv_sec + used.ru_stime.tv_sec);
 }
 
 std::uint64_t DataBytes() {
@@ -115,7 +126,7 @@ void LimitMemory(const internal::WorkerJob& job) {
 
 void LimitSelf(const internal::WorkerJob& job) {
   Limit(RLIMIT_CORE, 0);
-  Limit(RLIMIT_CPU, std::uint64_t{job.seconds()} * (job.threads() + 1) + 1);
+  Limit(RLIMIT_CPU, ProcessorSeconds() + std::uint64_t{job.seconds()} * (job.threads() + 1) + 1);
   LimitMemory(job);
 }
 
@@ -132,33 +143,43 @@ Result<v1::SampleSummary> RunGuarded(const internal::WorkerJob& job) {
   }
 }
 
-/// Whether the server has ended before it could be asked to signal its end: then nobody reads the
+/// Whether the parent has ended before it could be asked to signal its end: then nobody reads the
 /// events.
-bool ServerIsGone() {
+bool ParentIsGone() {
   pollfd events = {1, 0, 0};
-  return poll(&events, 1, 0) > 0 && (events.revents & POLLERR) != 0;
+  return poll(&events, 1, 0) > 0 && (events.revents & (POLLERR | POLLHUP)) != 0;
+}
+
+internal::WorkerEvent RunReported(const internal::WorkerJob& job) {
+  JobFiles files(job);
+  internal::WorkerEvent last;
+  const auto outcome = files.Begin() ? RunGuarded(job) : v1::SampleSummary();
+  if (auto ended = files.End(outcome, *last.mutable_figures()); !ended) {
+    last.mutable_failed()->set_code(static_cast<std::uint32_t>(ended.error().code));
+    last.mutable_failed()->set_message(ended.error().message);
+  } else {
+    *last.mutable_done() = *outcome;
+  }
+  return last;
 }
 
 }  // namespace
 
 int RunWorker() {
-  // Sockets and files of the server that were opened without close-on-exec.
+  // Sockets and files of the parent that were opened without close-on-exec.
   static_cast<void>(syscall(SYS_close_range, kWorkerResult + 1, ~0u, 0));
   static_cast<void>(prctl(PR_SET_PDEATHSIG, SIGKILL));
-  if (ServerIsGone()) return 2;
-  internal::WorkerJob job;
-  if (!job.ParseFromFileDescriptor(0)) return 2;
-  LimitSelf(job);
-  const auto outcome = RunGuarded(job);
-  internal::WorkerEvent last;
-  if (outcome) {
-    *last.mutable_done() = *outcome;
-  } else {
-    last.mutable_failed()->set_code(static_cast<std::uint32_t>(outcome.error().code));
-    last.mutable_failed()->set_message(outcome.error().message);
+  if (ParentIsGone()) return 2;
+  google::protobuf::io::FileInputStream jobs(0);
+  while (true) {
+    internal::WorkerJob job;
+    bool no_more = false;
+    if (!google::protobuf::util::ParseDelimitedFromZeroCopyStream(&job, &jobs, &no_more)) {
+      return no_more ? 0 : 2;
+    }
+    LimitSelf(job);
+    Send(RunReported(job));
   }
-  Send(last);
-  return 0;
 }
 
 }  // namespace strata::server
