@@ -44,6 +44,8 @@ class HelpFormatter : public CLI::Formatter {
            "       strata serve [options]\n"
            "       strata key NAME [--role full|read]\n"
            "       strata health [URL]\n"
+           "       strata batch REPO -o OUT [options]\n"
+           "       strata report OUT... [options]\n"
 #endif
            "       strata COMMAND --help\n";
   }
@@ -160,7 +162,7 @@ Result<void> RefuseExtras(const CLI::App& app, const CLI::App* command) {
   }
   std::vector<std::string> names = {"sample", "scan", "merge", "info", "--help", "--version"};
 #ifdef STRATA_SERVICE
-  names.insert(names.end(), {"serve", "key", "health"});
+  names.insert(names.end(), {"serve", "key", "health", "batch", "report"});
 #endif
   for (const CLI::Option* option : command ? command->get_options() : app.get_options()) {
     for (const std::string& name : option->get_lnames()) names.push_back("--" + name);

@@ -2,6 +2,8 @@
 
 #include <fcntl.h>
 
+#include <algorithm>
+#include <array>
 #include <cstdio>
 #include <exception>
 #include <new>
@@ -25,7 +27,8 @@ void OccupyStandardStreams() {
 }  // namespace
 
 bool IsServiceCommand(std::string_view name) {
-  return name == "serve" || name == "key" || name == "health";
+  constexpr std::array kNames = {"serve", "key", "health", "batch", "report"};
+  return std::ranges::find(kNames, name) != kNames.end();
 }
 
 int Report(const Error& error, int signal) {

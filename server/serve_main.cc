@@ -1,8 +1,9 @@
-// The program behind `strata serve`, `strata key` and `strata health`, and its own workers.
+// The program behind `strata serve`, `key`, `health`, `batch` and `report`, and its own workers.
 #include <span>
 #include <string>
 #include <vector>
 
+#include "server/batch/batch_command.h"
 #include "server/program.h"
 #include "server/serve_command.h"
 #include "server/service/worker.h"
@@ -18,6 +19,15 @@ int Main(const std::vector<std::string>& arguments) {
     return Report({ErrorCode::kInvalidArgument, "strata-serve is started by `strata serve`"}, 0);
   }
   const std::span rest = std::span(arguments).subspan(1);
+  if (arguments[0] == "batch") {
+    int signal = 0;
+    const auto status = BatchMain(rest, signal);
+    return status ? *status : Report(status.error(), signal);
+  }
+  if (arguments[0] == "report") {
+    const auto status = ReportMain(rest);
+    return status ? *status : Report(status.error(), 0);
+  }
   const auto run = arguments[0] == "serve" ? RunServe : arguments[0] == "key" ? RunKey : RunHealth;
   const Result<void> outcome = run(rest);
   return outcome ? 0 : Report(outcome.error(), 0);
