@@ -10,7 +10,8 @@
 
 namespace strata::server {
 
-/// Whether a command is one of the program `strata-serve`: `serve`, `key`, `health`, `batch`, `report`.
+/// Whether a command is one of the program `strata-serve`: `serve`, `key`, `health`, `batch`,
+/// `report`.
 bool IsServiceCommand(std::string_view name);
 
 /// Prints the error, and returns the exit status that goes with it: that of `signal`, if one (not

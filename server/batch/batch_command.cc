@@ -4,6 +4,7 @@
 #include <variant>
 
 #include "server/batch/batch_config.h"
+#include "server/batch/report.h"
 #include "server/batch/run_batch.h"
 #include "server/interrupt.h"
 
@@ -35,6 +36,7 @@ Result<int> ReportMain(std::span<const std::string> arguments) {
   const auto parsed = ParseReport(arguments);
   if (!parsed) return Forward(parsed);
   if (const auto* const show = std::get_if<ShowText>(&*parsed)) return Show(*show);
+  if (auto done = RunReport(std::get<ReportCommand>(*parsed)); !done) return Forward(done);
   return 0;
 }
 

@@ -28,6 +28,10 @@ std::string LongName(std::string_view names) {
   return std::string(names.substr(names.find("--") + 2));
 }
 
+constexpr const char* kBatchSummary = "Samples every mesh below a folder; safe to run again.";
+constexpr const char* kBatchUsage = "\nUsage: strata batch REPO -o OUT [options]\n";
+constexpr const char* kReportSummary = "Says what the batches in these folders came to.";
+constexpr const char* kReportUsage = "\nUsage: strata report OUT... [options]\n";
 constexpr const char* kBatchFooter =
     "Examples:\n"
     "  strata batch models -o samples --resolution 256\n"
@@ -104,6 +108,7 @@ class Parser {
   }
 
   const Typed& typed() const { return typed_; }
+  const CLI::App& app() const { return app_; }
 
  private:
   tl::unexpected<Error> Unknown(const std::string& extra) const {
@@ -225,21 +230,43 @@ Result<BatchCommand> CheckBatch(const Typed& typed, const std::vector<std::strin
   return command;
 }
 
-}  // namespace
+Result<ReportCommand> CheckReport(const Typed& typed, const std::vector<std::string>& places) {
+  Values values(typed);
+  ReportCommand command;
+  values.Require(!places.empty(), "OUT is missing: the folder of a batch's outputs");
+  values.Number("slowest", 0, 10'000, command.slowest);
+  command.outputs = places;
+  command.json = values.Has("json");
+  command.html = values.Text("html");
+  const bool page = !values.Has("no-html") && !command.json;
+  if (page && !command.html && !places.empty()) command.html = places.front() + "/report.html";
+  if (!values.outcome()) return Forward(values.outcome());
+  return command;
+}
 
-Result<std::variant<BatchCommand, ShowText>> ParseBatch(std::span<const std::string> arguments) {
-  Parser parser("Samples every mesh below a folder; safe to run again.", "strata batch",
-                "\nUsage: strata batch REPO -o OUT [options]\n");
+void AddBatch(Parser& parser) {
   parser.Add(BatchOptions());
   for (const OptionRow& row : SampleOptionRows()) {
     if (!IsModelOption(LongName(row.names))) continue;
     parser.Add(row.names, row.value, row.group, row.help, false);
   }
   for (const FlagRow& row : SampleFlagRows()) {
-    if (IsModelOption(LongName(row.names)))
-      parser.Add(row.names, nullptr, row.group, row.help, false);
+    if (!IsModelOption(LongName(row.names))) continue;
+    parser.Add(row.names, nullptr, row.group, row.help, false);
   }
   parser.SetFooter(kBatchFooter + ExitCodesText());
+}
+
+void AddReport(Parser& parser) {
+  parser.Add(ReportOptions());
+  parser.SetFooter(ExitCodesText());
+}
+
+}  // namespace
+
+Result<std::variant<BatchCommand, ShowText>> ParseBatch(std::span<const std::string> arguments) {
+  Parser parser(kBatchSummary, "strata batch", kBatchUsage);
+  AddBatch(parser);
   std::vector<std::string> places;
   const auto shown = parser.Parse(arguments, places);
   if (!shown) return Forward(shown);
@@ -250,25 +277,23 @@ Result<std::variant<BatchCommand, ShowText>> ParseBatch(std::span<const std::str
 }
 
 Result<std::variant<ReportCommand, ShowText>> ParseReport(std::span<const std::string> arguments) {
-  Parser parser("Says what the batches in these folders came to.", "strata report",
-                "\nUsage: strata report OUT... [options]\n");
-  parser.Add(ReportOptions());
-  parser.SetFooter(ExitCodesText());
+  Parser parser(kReportSummary, "strata report", kReportUsage);
+  AddReport(parser);
   std::vector<std::string> places;
   const auto shown = parser.Parse(arguments, places);
   if (!shown) return Forward(shown);
   if (*shown) return std::variant<ReportCommand, ShowText>(**shown);
-  Values values(parser.typed());
-  ReportCommand command;
-  values.Require(!places.empty(), "OUT is missing: the folder of a batch's outputs");
-  values.Number("slowest", 0, 10'000, command.slowest);
-  command.outputs = places;
-  command.json = values.Has("json");
-  command.html = values.Text("html");
-  const bool page = !values.Has("no-html") && !command.json;
-  if (page && !command.html && !places.empty()) command.html = places.front() + "/report.html";
-  if (!values.outcome()) return Forward(values.outcome());
-  return std::variant<ReportCommand, ShowText>(std::move(command));
+  auto command = CheckReport(parser.typed(), places);
+  if (!command) return Forward(command);
+  return std::variant<ReportCommand, ShowText>(*std::move(command));
+}
+
+std::vector<CommandText> DescribeBatchCommands() {
+  Parser batch(kBatchSummary, "strata batch", kBatchUsage);
+  AddBatch(batch);
+  Parser report(kReportSummary, "strata report", kReportUsage);
+  AddReport(report);
+  return {Describe(batch.app(), "batch"), Describe(report.app(), "report")};
 }
 
 std::string ShareSuffix(const ModelShare& share) {

@@ -13,6 +13,7 @@
 #include "server/batch/model_options.h"
 #include "server/batch/places.h"
 #include "server/command_line.h"
+#include "server/command_text.h"
 
 namespace strata::server {
 
@@ -53,6 +54,9 @@ struct ReportCommand {
 /// The arguments after `batch` or `report`. Errors: kInvalidArgument, as ParseCommandLine.
 Result<std::variant<BatchCommand, ShowText>> ParseBatch(std::span<const std::string> arguments);
 Result<std::variant<ReportCommand, ShowText>> ParseReport(std::span<const std::string> arguments);
+
+/// What their --help prints.
+std::vector<CommandText> DescribeBatchCommands();
 
 /// "-3-of-8" of a share, "" of the whole: in names of files.
 std::string ShareSuffix(const ModelShare& share);

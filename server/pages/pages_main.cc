@@ -11,6 +11,7 @@
 #include "server/pages/completion.h"
 #include "server/pages/man_page.h"
 #ifdef STRATA_SERVICE
+#include "server/batch/batch_config.h"
 #include "server/serve_config.h"
 #include "server/service_tools.h"
 #endif
@@ -24,6 +25,7 @@ std::vector<CommandText> AllCommands() {
 #ifdef STRATA_SERVICE
   all.push_back(DescribeServe());
   for (CommandText& each : DescribeServiceTools()) all.push_back(std::move(each));
+  for (CommandText& each : DescribeBatchCommands()) all.push_back(std::move(each));
 #endif
   return all;
 }
