@@ -114,6 +114,7 @@ struct Running {
   Metrics metrics;
   std::unique_ptr<Service> service;
   std::unique_ptr<StoredService> stored;
+  std::unique_ptr<BatchService> batches;
   std::unique_ptr<HttpServer> http;
   std::unique_ptr<RpcServer> rpc;
 };
@@ -162,6 +163,15 @@ Result<void> RunServe(std::span<const std::string> arguments) {
     if (!stored) return Forward(stored);
     running.stored = *std::move(stored);
     running.service->SetStored(running.stored.get());
+  }
+  if (command.batches) {
+    auto batches = BatchService::Start(*command.batches, *running.service);
+    // Beside another process on the same folder this one serves all else.
+    const bool others = !batches && batches.error().code == ErrorCode::kConflict;
+    if (!batches && !others) return Forward(batches);
+    if (others) Log(LogLevel::kWarning, "no batches", {{"reason", batches.error().message}});
+    if (batches) running.batches = *std::move(batches);
+    running.service->SetBatches(running.batches.get());
   }
   auto http = StartHttp(command, *running.service);
   if (!http) return Forward(http);

@@ -11,6 +11,7 @@
 #include <sstream>
 #include <thread>
 
+#include "server/batch/batch_config.h"
 #include "server/http/browser_guard.h"
 #include "server/memory.h"
 #include "server/nearest_name.h"
@@ -181,6 +182,29 @@ std::optional<StoreOptions> StoreOptionsOf(Reader& read, const ServiceLimits& li
   return std::nullopt;
 }
 
+/// Over the repository, if there is one; a batch takes the part of one job, or the least that it
+/// needs.
+std::optional<BatchServiceOptions> BatchesOf(Reader& read, const ServiceLimits& limits) {
+  BatchServiceOptions options;
+  options.models = read.Text("models");
+  options.folder = read.Has("batches") ? read.Text("batches") : read.Text("data") + "/batches";
+  options.memory_bytes = std::max(limits.job_memory_bytes, kLeastBatchMemory);
+  options.jobs = std::min(limits.job_threads, 1024u);
+  options.timeout_seconds = limits.job_seconds;
+  options.most_queued = read.Number("stored-jobs", 1, 1'000'000);
+  options.retention = std::chrono::hours(read.Number("keep-jobs", 1, 100'000));
+  if (options.models.empty()) {
+    if (read.Has("batches")) read.Refuse("--batches needs --models, which they sample");
+    return std::nullopt;
+  }
+  // A service that is too small for one has none.
+  if (options.memory_bytes > limits.jobs.memory_bytes) {
+    if (read.Has("batches")) read.Refuse("--batches needs --memory of 192M or more");
+    return std::nullopt;
+  }
+  return options;
+}
+
 bool IsLoopback(const Listen& listen) {
   return listen.address == "::1" || listen.address.starts_with("127.");
 }
@@ -311,6 +335,7 @@ Result<ServeCommand> CheckServe(const ServeTexts& texts) {
   command.http_limits = HttpLimitsOf(read);
   command.limits = ServiceLimitsOf(read);
   command.store = StoreOptionsOf(read, command.limits);
+  command.batches = BatchesOf(read, command.limits);
   if (read.Has("scratch")) command.scratch = read.Text("scratch");
   command.log_format = static_cast<LogFormat>(read.OneOf("log-format", {"text", "json"}));
   command.log_level =

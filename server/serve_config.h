@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/result.h"
+#include "server/batch/batch_service.h"
 #include "server/command_line.h"
 #include "server/http/exchange.h"
 #include "server/http/tls.h"
@@ -34,7 +35,8 @@ struct ServeCommand {
   HttpLimits http_limits;
   ServiceLimits limits;
   std::optional<std::string> scratch;
-  std::optional<StoreOptions> store;  ///< Absent: nothing is kept.
+  std::optional<StoreOptions> store;           ///< Absent: nothing is kept.
+  std::optional<BatchServiceOptions> batches;  ///< Absent: no repository.
   LogFormat log_format = LogFormat::kText;
   LogLevel log_level = LogLevel::kInfo;
   std::uint32_t drain_seconds = 30;

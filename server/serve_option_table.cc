@@ -13,7 +13,7 @@ constexpr const char* kJob = "Jobs";
 constexpr const char* kStore = "What it keeps";
 constexpr const char* kRun = "How it runs";
 
-constexpr std::array<ServeOption, 35> kOptions = {{
+constexpr std::array<ServeOption, 36> kOptions = {{
     {"http", "ADDR:PORT", kWhere, "HTTP; port 0 takes any free one; off = no HTTP.",
      "127.0.0.1:8080"},
     {"grpc", "ADDR:PORT", kWhere, "gRPC; likewise.", "127.0.0.1:8081"},
@@ -65,6 +65,8 @@ constexpr std::array<ServeOption, 35> kOptions = {{
      "service keeps nothing.",
      ""},
     {"models", "DIR", kStore, "Meshes to offer, read only, by their names in it. Needs data.", ""},
+    {"batches", "DIR", kStore, "Where batches over models keep their outputs.", "",
+     "the folder batches in data"},
     {"model-disk", "SIZE", kStore, "Of uploaded models, unfinished ones included.", "64G"},
     {"result-disk", "SIZE", kStore,
      "Of results; the least recently used of those no job has go first.", "16G"},

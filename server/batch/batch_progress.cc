@@ -45,6 +45,15 @@ std::string BatchProgressLine(const BatchTally& tally, double seconds, double co
   return line.str();
 }
 
+std::string BatchProgressJson(const BatchTally& tally, double seconds, double cost_done,
+                              double cost) {
+  nlohmann::ordered_json json = {{"models", tally.models},     {"sampled", tally.sampled},
+                                 {"unchanged", tally.skipped}, {"failed", tally.all_failed()},
+                                 {"samples", tally.samples},   {"seconds", seconds}};
+  if (cost_done > 0) json["seconds_left"] = seconds * std::max(0.0, cost - cost_done) / cost_done;
+  return json.dump() + '\n';
+}
+
 std::string BatchSummary(const BatchTally& tally, double seconds) {
   std::ostringstream out;
   out << "models     " << Grouped(tally.models) << ": " << Grouped(tally.sampled) << " sampled, "
@@ -80,13 +89,16 @@ void BatchProgress::Add(End end, double cost, std::uint64_t samples, const std::
   if (end != End::kFailed) return;
   ++tally_.failed;
   ++tally_.reasons[reason];
-  Say("strata: " + Printable(path) + ": failed: " + reason + ": " + Printable(message));
+  Say("strata: " + Printable(path) + ": failed: " + reason + ": " +
+      Printable(WithoutPath(message, path)));
 }
 
 void BatchProgress::AddRetry(const std::string& path, const std::string& message) {
   const std::lock_guard lock(mutex_);
   ++tally_.retried;
-  if (!quiet_) Say("strata: " + Printable(path) + ": is tried again: " + Printable(message));
+  if (!quiet_)
+    Say("strata: " + Printable(path) +
+        ": is tried again: " + Printable(WithoutPath(message, path)));
 }
 
 void BatchProgress::SetPruned(std::uint64_t count) {
@@ -111,6 +123,11 @@ void BatchProgress::Tick() {
 void BatchProgress::Stop() {
   const std::lock_guard lock(mutex_);
   if (terminal_) Write(fd_, "\r\x1b[K");
+}
+
+std::string BatchProgress::Json() const {
+  const std::lock_guard lock(mutex_);
+  return BatchProgressJson(tally_, watch_.seconds(), cost_done_, cost_);
 }
 
 BatchTally BatchProgress::tally() const {

@@ -30,6 +30,10 @@ struct BatchTally {
 /// that there was at the start is done, in whatever unit.
 std::string BatchProgressLine(const BatchTally& tally, double seconds, double cost_done,
                               double cost);
+/// The same for programs, on one line: counts by name, "seconds", and "seconds_left" where it is
+/// known.
+std::string BatchProgressJson(const BatchTally& tally, double seconds, double cost_done,
+                              double cost);
 /// The summary of a batch that has come to its end. Several lines.
 std::string BatchSummary(const BatchTally& tally, double seconds);
 
@@ -53,6 +57,8 @@ class BatchProgress {
   /// Erases the line.
   void Stop();
 
+  /// As BatchProgressJson.
+  std::string Json() const;
   BatchTally tally() const;
   double seconds() const { return watch_.seconds(); }
 

@@ -61,6 +61,11 @@ std::string Printable(std::string_view bytes) {
   return text;
 }
 
+std::string_view WithoutPath(std::string_view message, std::string_view path) {
+  const bool named = message.starts_with(path) && message.substr(path.size()).starts_with(": ");
+  return named ? message.substr(path.size() + 2) : message;
+}
+
 std::string AsUtf8(std::string_view bytes) {
   std::string text;
   utf8::replace_invalid(bytes.begin(), bytes.end(), std::back_inserter(text));

@@ -10,6 +10,10 @@ namespace strata::server {
 /// For a line on a terminal: bytes that are no UTF-8, and control characters, as "\n" or "\xNN".
 std::string Printable(std::string_view bytes);
 
+/// A message about the file `path` without the path that it begins with, for where that stands
+/// already.
+std::string_view WithoutPath(std::string_view message, std::string_view path);
+
 /// The bytes as UTF-8: what is none becomes U+FFFD.
 std::string AsUtf8(std::string_view bytes);
 

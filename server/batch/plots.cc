@@ -11,7 +11,7 @@
 namespace strata::server {
 namespace {
 
-constexpr double kWidth = 480, kHeight = 280, kLeft = 56, kRight = 12, kTop = 14, kBottom = 40;
+constexpr double kWidth = 480, kHeight = 280, kLeft = 56, kRight = 26, kTop = 26, kBottom = 40;
 
 /// Powers of ten around positive values; at least one decade.
 struct LogRange {
@@ -103,7 +103,7 @@ std::string ScatterSvg(std::span<const PlotPoint> points, std::string_view x_axi
     YLabel(out, (at - y_range.low) / (y_range.high - y_range.low), Si(std::pow(10, at)));
   }
   XAxis(out, x_range, x_axis);
-  out << "<text x=\"4\" y=\"11\">" << y_axis << "</text>";
+  out << "<text x=\"4\" y=\"14\">" << y_axis << "</text>";
   for (const PlotPoint& point : points) {
     if (!(point.x > 0) || !(point.y > 0)) continue;
     out << "<circle class=\"mark\" fill-opacity=\"0.6\" r=\"3\" cx=\"" << X(x_range.Share(point.x))

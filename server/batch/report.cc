@@ -131,7 +131,7 @@ std::string ReportText(const Report& report, std::size_t slowest) {
   for (const auto& [reason, count] : report.reasons) {
     const ReportRow* const first = FirstOf(report, reason);
     out << "  " << Grouped(count) << "  " << reason << ": " << Printable(first->line.path) << ": "
-        << Printable(first->line.error_message) << '\n';
+        << Printable(WithoutPath(first->line.error_message, first->line.path)) << '\n';
   }
   const auto rows = report.Slowest(slowest);
   if (!rows.empty()) out << "\nslowest\n";

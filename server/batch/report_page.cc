@@ -227,7 +227,7 @@ void TableRow(std::ostream& out, const ManifestLine& line) {
   Number(out, line.measured.seconds, Short(line.measured.seconds, 3));
   Number(out, static_cast<double>(line.measured.peak_memory_bytes),
          Si(static_cast<double>(line.measured.peak_memory_bytes)) + "B");
-  out << "<td>" << Foreign(line.error_message) << "</td></tr>\n";
+  out << "<td>" << Foreign(WithoutPath(line.error_message, line.path)) << "</td></tr>\n";
 }
 
 void Table(std::ostream& out, const Report& report) {

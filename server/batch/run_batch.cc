@@ -9,12 +9,14 @@
 #include <condition_variable>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <thread>
 #include <utility>
 
+#include "core/stopwatch.h"
 #include "io/output_place.h"
 #include "server/batch/batch_lane.h"
 #include "server/batch/batch_plan.h"
@@ -29,6 +31,10 @@ constexpr std::chrono::seconds kSaveStateEvery{30};
 
 std::string ManifestName(const ModelShare& share) {
   return "manifest" + ShareSuffix(share) + ".jsonl";
+}
+
+std::string ProgressPath(const std::string& state, const ModelShare& share) {
+  return state + "/.strata/progress" + ShareSuffix(share) + ".json";
 }
 
 Result<void> MakeFolder(const std::string& path) {
@@ -52,6 +58,32 @@ Result<std::vector<ManifestReader>> OtherManifests(const std::string& state,
   return others;
 }
 
+/// Says in a file how far a batch is: for the service, and whoever looks. Not durable, and no
+/// failure of the batch where it cannot be written.
+class ProgressFile {
+ public:
+  ProgressFile(const BatchProgress& progress, std::string path)
+      : progress_(progress), path_(std::move(path)) {}
+
+  void Write() {
+    const std::string next = path_ + ".next";
+    std::ofstream file(next, std::ios::binary);
+    file << progress_.Json();
+    file.close();
+    if (file) static_cast<void>(std::rename(next.c_str(), path_.c_str()));
+  }
+  void WriteNowAndThen() {
+    if (watch_.seconds() < 0.5) return;
+    watch_ = {};
+    Write();
+  }
+
+ private:
+  const BatchProgress& progress_;
+  const std::string path_;
+  Stopwatch watch_;
+};
+
 /// One run of a batch, from its lanes' start to their end.
 class Batch {
  public:
@@ -59,8 +91,10 @@ class Batch {
       : shop_(std::move(shop)),
         manifest_(manifest),
         progress_(progress),
+        file_(progress, ProgressPath(shop_.state, shop_.command.share)),
         schedule_(std::exchange(plan.tasks, {})) {
     shop_.gone = [this] { return ended_.load(); };
+    file_.Write();
   }
 
   /// Errors: kCancelled, kIo of the manifest.
@@ -74,12 +108,14 @@ class Batch {
       while (!changed_.wait_for(lock, kTick, [this] { return living_ == 0; })) {
         if (context.cancelled()) End();
         progress_.Tick();
+        file_.WriteNowAndThen();
       }
       done_ = true;
     }
     changed_.notify_all();
     for (std::thread& lane : lanes) lane.join();
     saver.join();
+    file_.Write();
     if (context.cancelled()) return Cancelled();
     return outcome_;
   }
@@ -169,6 +205,7 @@ class Batch {
   BatchShop shop_;
   Manifest& manifest_;
   BatchProgress& progress_;
+  ProgressFile file_;
   Schedule schedule_;
   std::atomic<bool> ended_{false};
   std::mutex mutex_;
@@ -215,7 +252,10 @@ Result<void> Sample(const BatchCommand& command, Places& places, const std::stri
       if (task.whole_machine == whole) order.push_back(task.model);
     }
   }
-  if (order.empty()) return {};
+  if (order.empty()) {
+    ProgressFile(progress, ProgressPath(state, command.share)).Write();
+    return {};
+  }
   places.models->Announce(order);
   if (auto made = MakeFolder(state + "/.strata/pictures"); !made) return made;
   const MemoryParts memory = DivideMemory(command.memory_bytes, command.jobs, order.size());

@@ -39,7 +39,7 @@ void ShowViewer(Service&, Exchange& exchange, const std::string&) { RespondViewe
 
 using Access = Route::Access;
 
-constexpr std::array<Route, 24> kRoutes = {{
+constexpr std::array<Route, 31> kRoutes = {{
     {"GET", "/", Access::kOpen, false, ShowViewer},
     {"GET", "/assets/{file...}", Access::kOpen, false, ShowViewer},
     {"GET", "/livez", Access::kOpen, false, Livez},
@@ -58,6 +58,13 @@ constexpr std::array<Route, 24> kRoutes = {{
     {"DELETE", "/v1/jobs/{id}", Access::kFull, true, DeleteJob},
     {"GET", "/v1/jobs/{id}/events", Access::kRead, true, GetJobEvents},
     {"GET", "/v1/jobs/{id}/result", Access::kRead, true, GetJobResult},
+    {"POST", "/v1/batches", Access::kFull, true, PostBatch},
+    {"GET", "/v1/batches", Access::kRead, true, ListBatches},
+    {"GET", "/v1/batches/{id}", Access::kRead, true, GetBatch},
+    {"DELETE", "/v1/batches/{id}", Access::kFull, true, DeleteBatch},
+    {"GET", "/v1/batches/{id}/events", Access::kRead, true, GetBatchEvents},
+    {"GET", "/v1/batches/{id}/manifest", Access::kRead, true, GetBatchManifest},
+    {"GET", "/v1/batches/{id}/output", Access::kRead, true, GetBatchOutput},
     {"OPTIONS", "/v1/uploads", Access::kOpen, false, TusOptions},
     {"POST", "/v1/uploads", Access::kFull, true, TusCreate},
     {"HEAD", "/v1/uploads/{id}", Access::kFull, true, TusHead},

@@ -23,6 +23,14 @@ void DeleteJob(Service& service, Exchange& exchange, const std::string& id);
 void GetJobEvents(Service& service, Exchange& exchange, const std::string& id);
 void GetJobResult(Service& service, Exchange& exchange, const std::string& id);
 
+void PostBatch(Service& service, Exchange& exchange, const std::string& parameter);
+void ListBatches(Service& service, Exchange& exchange, const std::string& parameter);
+void GetBatch(Service& service, Exchange& exchange, const std::string& id);
+void DeleteBatch(Service& service, Exchange& exchange, const std::string& id);
+void GetBatchEvents(Service& service, Exchange& exchange, const std::string& id);
+void GetBatchManifest(Service& service, Exchange& exchange, const std::string& id);
+void GetBatchOutput(Service& service, Exchange& exchange, const std::string& id);
+
 void TusOptions(Service& service, Exchange& exchange, const std::string& parameter);
 void TusCreate(Service& service, Exchange& exchange, const std::string& parameter);
 void TusHead(Service& service, Exchange& exchange, const std::string& id);

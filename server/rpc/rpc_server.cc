@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "server/listen.h"
+#include "server/rpc/batch_rpc.h"
 #include "server/rpc/call_watch.h"
 #include "server/rpc/rpc_door.h"
 #include "server/rpc/sampling_rpc.h"
@@ -102,6 +103,7 @@ struct RpcServer::State {
         sampling(service, watch),
         models(service, watch),
         jobs(service, watch),
+        batches(service, watch),
         door({std::move(listener), options.connections}, service.metrics()) {}
 
   const std::uint16_t port;
@@ -109,6 +111,7 @@ struct RpcServer::State {
   SamplingRpc sampling;
   ModelsRpc models;
   JobsRpc jobs;
+  BatchesRpc batches;
   RpcDoor door;
   std::unique_ptr<grpc::Server> server;
 };
@@ -134,11 +137,13 @@ Result<std::unique_ptr<RpcServer>> RpcServer::Start(const Options& options, Serv
   builder.RegisterService(&state->sampling);
   builder.RegisterService(&state->models);
   builder.RegisterService(&state->jobs);
+  builder.RegisterService(&state->batches);
   state->server = builder.BuildAndStart();
   if (!state->server) {
     return Fail(ErrorCode::kIo, "cannot serve gRPC: the certificate and key do not fit");
   }
-  for (const char* const name : {"strata.v1.Sampling", "strata.v1.Models", "strata.v1.Jobs"}) {
+  for (const char* const name :
+       {"strata.v1.Sampling", "strata.v1.Models", "strata.v1.Jobs", "strata.v1.Batches"}) {
     state->server->GetHealthCheckService()->SetServingStatus(name, true);
   }
   if (auto open = state->door.Start(std::move(acceptor)); !open) return Forward(open);

@@ -79,6 +79,12 @@ Answer<StoredService*> Service::stored() const {
                 "this service keeps no models and no jobs: it was started without --data");
 }
 
+Answer<BatchService*> Service::batches() const {
+  if (batches_) return batches_;
+  return Refuse(Refusal::kNotImplemented,
+                "this service has no repository of models: it was started without --models");
+}
+
 Answer<Sampled> Service::Sample(const v1::SampleOptions& options, int mesh, const std::string& name,
                                 const JobWatch& watch) {
   if (const auto checked = CommandOf(options, "-", "-"); !checked) return Refuse(checked.error());

@@ -76,6 +76,7 @@ struct Sampled {
 };
 
 class StoredService;
+class BatchService;
 
 /// Threads: any.
 class Service {
@@ -102,6 +103,15 @@ class Service {
   /// Null: none. Set before the service is shared.
   void SetStored(StoredService* stored) { stored_ = stored; }
 
+  /// Batches over the repository. Refuses: kNotImplemented where the service has none.
+  Answer<BatchService*> batches() const;
+  /// Null: none. Set before the service is shared.
+  void SetBatches(BatchService* batches) { batches_ = batches; }
+  /// A place and memory among the jobs, for as long as a batch runs. Refuses: as Admission::Enter.
+  Answer<Ticket> AdmitBatch(std::uint64_t bytes, const std::function<bool()>& gone) {
+    return admission_.Enter(bytes, gone);
+  }
+
   /// Whether new requests are taken.
   bool ready() const { return !draining_; }
   std::uint32_t requests_in_flight() const { return in_flight_; }
@@ -120,6 +130,7 @@ class Service {
   Metrics& metrics_;
   Admission admission_;
   StoredService* stored_ = nullptr;
+  BatchService* batches_ = nullptr;
   std::atomic<std::uint32_t> in_flight_{0};
   std::atomic<bool> draining_{false}, cancelled_{false};
 };

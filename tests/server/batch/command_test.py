@@ -178,9 +178,10 @@ class GoesOn(BatchTest):
 class KeepsOthersOut(BatchTest):
     def test_a_second_batch_is_refused_and_ctrl_c_ends_the_first(self):
         self.make_mesh('large.ply', 300_000)
-        self.put('small.off')
-        hard = ('--lambda', '30', '--resolution', '700', '--jobs', '1')
-        first = self.start(*hard)
+        self.put('a/small.off')
+        self.put('strata.toml', 'resolution = 700\nlambda = 30\n')
+        self.put('a/strata.toml', 'resolution = 8\n')
+        first = self.start('--jobs', '1')
         try:
             wait_until(lambda: manifest(self.out) if (self.out / 'manifest.jsonl').exists()
                        else {}, 'the first model')

@@ -69,18 +69,19 @@ class Killed(BatchTest):
 
 
 class WorkersDie(BatchTest):
-    HARD = ('--resolution', '700', '--lambda', '30', '--jobs', '1', '--pictures', '0')
+    ALONE = ('--jobs', '1', '--pictures', '0')
 
     def setUp(self):
         super().setUp()
         self.make_mesh('hard.ply', 200_000)
+        self.put('strata.toml', 'resolution = 500\nlambda = 30\n')
+        self.put('small/strata.toml', 'resolution = 8\n')
         for i in range(5):
             self.put(f'small/{i}.off', batch_harness.cube(i))
-            self.put('small/strata.toml', '')
 
     def hit(self, number, *options, times=1, status):
         """Sends a signal to the worker that samples hard.ply, each time it does."""
-        running = self.start('--include', 'hard.ply', '--include', 'small/*', *self.HARD, *options)
+        running = self.start(*self.ALONE, *options)
         hit = set()
         try:
             for _ in range(times):
@@ -121,7 +122,7 @@ class WorkersDie(BatchTest):
 
     def test_a_failure_that_was_not_the_models_own_is_redone_by_the_next_run(self):
         self.hit(signal.SIGSEGV, status=1)
-        self.batch('--include', 'hard.ply', '--include', 'small/*', *self.HARD)
+        self.batch(*self.ALONE)
         self.assertEqual(manifest(self.out)['hard.ply']['status'], 'sampled')
 
 
