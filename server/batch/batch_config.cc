@@ -28,7 +28,8 @@ std::string LongName(std::string_view names) {
   return std::string(names.substr(names.find("--") + 2));
 }
 
-constexpr const char* kBatchSummary = "Samples every mesh below a folder; safe to run again.";
+constexpr const char* kBatchSummary =
+    "Samples every mesh below a folder or in a bucket; safe to run again.";
 constexpr const char* kBatchUsage = "\nUsage: strata batch REPO -o OUT [options]\n";
 constexpr const char* kReportSummary = "Says what the batches in these folders came to.";
 constexpr const char* kReportUsage = "\nUsage: strata report OUT... [options]\n";
@@ -38,6 +39,9 @@ constexpr const char* kBatchFooter =
     "      every mesh below models; run again, it goes on or does what changed\n"
     "  strata batch models -o samples --include 'cars/**' --exclude '*.stl' --jobs 4\n"
     "  strata batch models -o samples --share $SLURM_ARRAY_TASK_ID/16\n"
+    "  strata batch s3://bucket/models -o s3://bucket/samples\n"
+    "      credentials from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or the profile\n"
+    "      AWS_PROFILE of ~/.aws; another store than AWS's by AWS_ENDPOINT_URL\n"
     "  strata report samples\n\n"
     "A file strata.toml in a folder of REPO holds options for the models below it,\n"
     "`resolution = 256`; the nearest one wins, the command line before them all.\n\n"
@@ -175,6 +179,18 @@ void ReadMemory(Values& values, BatchCommand& command) {
   if (bytes) command.memory_bytes = *bytes;
 }
 
+void ReadBuckets(Values& values, BatchCommand& command) {
+  command.s3_insecure = values.Has("s3-insecure");
+  command.state = values.Text("state");
+  values.Require(!command.state || !command.state->empty(), "--state: found no folder");
+  const auto text = values.Text("fetch-ahead");
+  if (!text) return;
+  const auto bytes = ParseSize(*text);
+  values.Require(bytes.has_value(), "--fetch-ahead: found '" + *text +
+                                        "', expected a size such as 512M or 16G (default 4G)");
+  if (bytes) command.fetch_ahead_bytes = *bytes;
+}
+
 void ReadShare(Values& values, BatchCommand& command) {
   const auto text = values.Text("share");
   if (!text) return;
@@ -203,7 +219,7 @@ Result<BatchCommand> CheckBatch(const Typed& typed, const std::vector<std::strin
   BatchCommand command;
   values.Require(places.size() == 1 && !places.front().empty(),
                  places.size() > 1 ? "found a second REPO '" + places[1] + "', expected one"
-                                   : "REPO is missing: the folder of the models");
+                                   : "REPO is missing: the folder or bucket of the models");
   values.Require(!values.Text("output").value_or("").empty(), "-o OUT is missing");
   values.Require(!(values.Has("resume") && values.Has("force")),
                  "--resume and --force exclude each other");
@@ -219,6 +235,7 @@ Result<BatchCommand> CheckBatch(const Typed& typed, const std::vector<std::strin
   values.Number("timeout", 1, 1'000'000, command.timeout_seconds);
   values.Number("progress-interval", 1, 86'400, command.progress_seconds);
   ReadMemory(values, command);
+  ReadBuckets(values, command);
   ReadShare(values, command);
   ReadSampleOptions(typed, values, command);
   command.scratch = values.Text("scratch");
@@ -237,9 +254,12 @@ Result<ReportCommand> CheckReport(const Typed& typed, const std::vector<std::str
   values.Number("slowest", 0, 10'000, command.slowest);
   command.outputs = places;
   command.json = values.Has("json");
+  command.s3_insecure = values.Has("s3-insecure");
   command.html = values.Text("html");
   const bool page = !values.Has("no-html") && !command.json;
-  if (page && !command.html && !places.empty()) command.html = places.front() + "/report.html";
+  if (page && !command.html && !places.empty()) {
+    command.html = places.front() + (places.front().ends_with('/') ? "" : "/") + "report.html";
+  }
   if (!values.outcome()) return Forward(values.outcome());
   return command;
 }

@@ -35,6 +35,10 @@ struct BatchCommand {
   std::uint64_t memory_bytes = 0;
   std::uint32_t timeout_seconds = 600;
   std::optional<std::string> scratch;
+  std::optional<std::string>
+      state;  ///< Of outputs in a bucket: the local folder; absent: the usual.
+  std::uint64_t fetch_ahead_bytes = std::uint64_t{4} << 30;  ///< Of models from a bucket.
+  bool s3_insecure = false;  ///< Plain http to a store on another machine, too.
   std::string simd = "auto";
   std::uint32_t progress_seconds = 10;
   bool force = false, prune = false, quiet = false;
@@ -49,6 +53,7 @@ struct ReportCommand {
   bool json = false;
   std::optional<std::string> html;  ///< Where the page goes; absent: none.
   std::uint32_t slowest = 10;
+  bool s3_insecure = false;  ///< As BatchCommand's.
 };
 
 /// The arguments after `batch` or `report`. Errors: kInvalidArgument, as ParseCommandLine.

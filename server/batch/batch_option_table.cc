@@ -31,7 +31,8 @@ constexpr std::array kBatchOptions = {
                 "1048576. Default 0/1."},
     BatchOption{"-o,--output", "OUT", kPlaces,
                 "The folder of the outputs, which mirrors REPO: a/b.ply becomes\n"
-                "OUT/a/b.ply.drc. Needed."},
+                "OUT/a/b.ply.drc. REPO and OUT may each be s3://BUCKET/PREFIX.\n"
+                "Needed."},
     BatchOption{"--pictures", "N", kPlaces,
                 "Draws this many of the models for the report, evenly spread.\n"
                 "0 to 10000; default 60."},
@@ -55,6 +56,14 @@ constexpr std::array kBatchOptions = {
     BatchOption{"--scratch", "DIR", kRun,
                 "Where to put what does not fit memory.\n"
                 "Default the system's directory for temporary files."},
+    BatchOption{"--fetch-ahead", "SIZE", kRun,
+                "How many bytes of models from a bucket lie on disk at a time,\n"
+                "those that wait for their turn included. Default 4G."},
+    BatchOption{"--state", "DIR", kRun,
+                "Where the state of outputs in a bucket is kept while it runs.\n"
+                "Default a folder for OUT below $XDG_CACHE_HOME/strata/batch."},
+    BatchOption{"--s3-insecure", nullptr, kRun,
+                "Allows AWS_ENDPOINT_URL to be plain http on another machine."},
     BatchOption{"--simd", "TARGET", kRun,
                 "Vector instructions, as for `strata sample`. Default auto."},
     BatchOption{"--progress-interval", "SECONDS", kRun,
@@ -72,6 +81,8 @@ constexpr std::array kReportOptions = {
     BatchOption{"--slowest", "N", kReport,
                 "How many of the slowest models are listed. 0 to 10000;\n"
                 "default 10."},
+    BatchOption{"--s3-insecure", nullptr, kReport,
+                "Allows AWS_ENDPOINT_URL to be plain http on another machine."},
 };
 
 }  // namespace

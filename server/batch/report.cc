@@ -8,9 +8,9 @@
 #include <utility>
 
 #include "core/version.h"
-#include "io/atomic_file.h"
 #include "server/batch/names.h"
 #include "server/batch/report_page.h"
+#include "server/batch/report_places.h"
 #include "server/human_units.h"
 
 namespace strata::server {
@@ -168,13 +168,15 @@ std::string ReportJson(const Report& report, std::size_t slowest) {
 }
 
 Result<void> RunReport(const ReportCommand& command) {
-  const auto report = ReadReport(command.outputs);
+  auto places = ReportPlaces::Open(command);
+  if (!places) return Forward(places);
+  auto report = ReadReport(places->folders());
   if (!report) return Forward(report);
+  report->folders = command.outputs;
   if (command.html) {
-    auto file = io::AtomicFile::Open(*command.html);
-    if (!file) return Forward(file);
-    if (auto written = (*file)->Write(ReportPage(*report)); !written) return written;
-    if (auto bytes = (*file)->Finish(); !bytes) return Forward(bytes);
+    if (auto written = places->WritePage(*command.html, ReportPage(*report)); !written) {
+      return written;
+    }
   }
   std::string text =
       command.json ? ReportJson(*report, command.slowest) : ReportText(*report, command.slowest);

@@ -230,7 +230,9 @@ S3Client::Outcome S3Client::Judge(const Call& call, HttpAnswer answer) const {
     outcome.retry = answer.transient;
   } else if (answer.status / 100 != 2) {
     const S3Refusal refusal = ParseRefusal(answer.body);
-    outcome.code = refusal.code;
+    // HEAD is answered without a body.
+    const bool is_missing = refusal.code.empty() && answer.status == 404;
+    outcome.code = is_missing ? "NoSuchKey" : refusal.code;
     outcome.error = Describe(call, answer, refusal);
     outcome.retry = IsRetryStatus(answer.status) || IsRetryCode(refusal.code);
     outcome.retry_after = RetryAfter(answer);
@@ -278,7 +280,7 @@ Result<void> S3Client::List(const S3Name& prefix,
                                                   ", which does not begin so");
       }
       last = object.key;
-      if (const Result<void> used = use(std::move(object)); !used) return used;
+      if (Result<void> used = use(std::move(object)); !used) return used;
     }
     if (page->next.empty()) return {};
     if (page->objects.empty() || page->next == next) break;
@@ -296,6 +298,17 @@ Result<S3Object> S3Client::Head(const S3Name& name) {
   const Result<HttpAnswer> answer = Perform(call);
   if (!answer) return Forward(answer);
   return ObjectOf(name, *answer);
+}
+
+Result<std::optional<S3Object>> S3Client::Find(const S3Name& name) {
+  Call call;
+  call.method = "HEAD";
+  call.name = name;
+  std::string code;
+  const Result<HttpAnswer> answer = Perform(call, &code);
+  if (answer) return std::optional(ObjectOf(name, *answer));
+  if (code == "NoSuchKey") return std::optional<S3Object>();
+  return Forward(answer);
 }
 
 Result<void> S3Client::Delete(const S3Name& name) {

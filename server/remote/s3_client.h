@@ -57,6 +57,8 @@ class S3Client {
   Result<void> List(const S3Name& prefix, const std::function<Result<void>(S3Object)>& use);
 
   Result<S3Object> Head(const S3Name& name);
+  /// The same; nothing if there is no such object.
+  Result<std::optional<S3Object>> Find(const S3Name& name);
 
   /// Writes the object to the empty file `fd` and returns what it is. A broken transfer goes on
   /// where it broke, if it is the same version still, else from the start. The result has been

@@ -78,6 +78,12 @@ Result<S3Name> ParseS3Url(std::string_view url) {
   return name;
 }
 
+Result<S3Name> ParseS3Folder(std::string_view url) {
+  Result<S3Name> name = ParseS3Url(url);
+  if (name && !name->key.empty() && !name->key.ends_with('/')) name->key += '/';
+  return name;
+}
+
 std::string WhyNotAPath(std::string_view key) {
   if (key.empty()) return "it is empty";
   if (key.find('\0') != std::string_view::npos) return "it holds a NUL";

@@ -31,6 +31,9 @@ bool IsS3Url(std::string_view text);
 /// that is too long).
 Result<S3Name> ParseS3Url(std::string_view url);
 
+/// The same for what lies below: a key that is not empty gets a '/' at its end.
+Result<S3Name> ParseS3Folder(std::string_view url);
+
 /// Why `key` cannot be mirrored as a path below a folder, or empty: it begins or ends with '/', has
 /// an empty, "." or ".." segment, a segment above 255 bytes, a NUL or backslash, or is no UTF-8.
 std::string WhyNotAPath(std::string_view key);

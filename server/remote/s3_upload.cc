@@ -27,12 +27,11 @@ struct Digests {
 };
 
 /// Of a text, or of a part of a file. Errors: kIo.
-Result<Digests> DigestsOf(const S3Name& name, const Payload& payload, io::Hasher* whole_md5) {
+Result<Digests> DigestsOf(const S3Name& name, const Payload& payload) {
   io::Hasher sha256, md5(io::DigestKind::kMd5);
   const auto take = [&](std::span<const char> bytes) {
     sha256.Update(bytes);
     md5.Update(bytes);
-    if (whole_md5 != nullptr) whole_md5->Update(bytes);
   };
   if (payload.fd < 0) take(payload.text);
   std::vector<char> buffer(payload.fd < 0 ? 0 : 256 << 10);
@@ -91,7 +90,7 @@ Result<std::string> S3Client::Put(const S3Name& name, std::string_view bytes) {
 }
 
 Result<std::string> S3Client::PutWhole(const S3Name& name, const Payload& payload) {
-  const Result<Digests> digests = DigestsOf(name, payload, nullptr);
+  const Result<Digests> digests = DigestsOf(name, payload);
   if (!digests) return Forward(digests);
   Call call;
   call.method = "PUT";
@@ -131,7 +130,6 @@ Result<std::string> S3Client::PutParts(const S3Name& name, const std::string& id
                                        std::uint64_t size) {
   std::vector<std::string> etags;
   std::string md5s;  // Of the parts, in binary.
-  io::Hasher whole(io::DigestKind::kMd5);
   const std::uint64_t part_bytes = PartBytes(size);
   for (std::uint64_t offset = 0; offset < size; offset += part_bytes) {
     Call call;
@@ -139,7 +137,7 @@ Result<std::string> S3Client::PutParts(const S3Name& name, const std::string& id
     call.name = name;
     call.query = {{"partNumber", std::to_string(etags.size() + 1)}, {"uploadId", id}};
     call.payload = Payload::OfFile(fd, offset, std::min(part_bytes, size - offset));
-    const Result<Digests> digests = DigestsOf(name, call.payload, &whole);
+    const Result<Digests> digests = DigestsOf(name, call.payload);
     if (!digests) return Forward(digests);
     call.payload_sha256 = digests->sha256;
     const Result<HttpAnswer> answer = Perform(call);
@@ -180,7 +178,7 @@ Result<std::string> S3Client::Complete(const S3Name& name, const std::string& id
       if (object && object->etag == expected && object->size == size) return object->etag;
       return Forward(answer);
     }
-    const Result<std::string> etag = ParseCompleted(answer->body);
+    Result<std::string> etag = ParseCompleted(answer->body);
     if (etag) return etag;
     // "200 OK" is sent before the work is done; how that ended stands in the body.
     if (etag.error().code == ErrorCode::kIo && backoff.Wait(std::nullopt)) continue;

@@ -452,6 +452,7 @@ class SecondClient(ClientTest):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument('--tool', required=True)
+    parser.add_argument('--strata', help='the command, where a test needs it')
     known, rest = parser.parse_known_args()
     ARGUMENTS.update(vars(known))
     unittest.main(argv=[sys.argv[0], *rest])

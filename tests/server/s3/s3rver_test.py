@@ -10,6 +10,7 @@ import subprocess
 import tempfile
 
 import client_test
+from batch_test import sphere
 from client_test import ARGUMENTS, MIB, ClientTest, percent_encoded, wait_until
 from store import PassOn, Store, cut_after, slow_down
 
@@ -88,6 +89,27 @@ class S3rverTest(ClientTest):
         self.store.fail(lambda r: r.method == 'GET', cut_after(MIB))
         self.tool('get', 's3://bucket/large', self.folder / 'back')
         self.assertEqual((self.folder / 'back').read_bytes(), path.read_bytes())
+
+    def test_a_batch_from_and_into_it_gives_the_bytes_of_a_local_one(self):
+        models = self.folder / 'models'
+        for i, name in enumerate(['a/0.off', 'a/1 +.off', 'ünïcode/2.off', 'a/3.off']):
+            (models / name).parent.mkdir(parents=True, exist_ok=True)
+            (models / name).write_text(sphere(10, i))
+            self.tool('put', f's3://bucket/models/{name}', models / name)
+        for source, output in [(models, self.folder / 'out'),
+                               ('s3://bucket/models', 's3://bucket/out')] * 2:
+            done = subprocess.run(
+                [ARGUMENTS['strata'], 'batch', source, '-o', output, '--resolution', '24'],
+                capture_output=True, text=True, timeout=120, env=self.environment())
+            self.assertEqual(done.returncode, 0, done.stderr)
+        self.assertEqual(sum(r.method == 'GET' and '/models/' in r.target and 'off' in r.target
+                             for r in self.store.requests), 4, 'the second run fetches nothing')
+        outputs = list((self.folder / 'out').rglob('*.drc'))
+        self.assertEqual(len(outputs), 4)
+        for path in outputs:
+            key = percent_encoded(f'out/{path.relative_to(self.folder / "out")}')
+            self.tool('get%', f's3://bucket/{key}', self.folder / 'back')
+            self.assertEqual((self.folder / 'back').read_bytes(), path.read_bytes())
 
     def test_a_bucket_that_is_not_there_is_reported(self):
         self.assertIn('NoSuchBucket', self.refused(3, 'list', 's3://nowhere'))
