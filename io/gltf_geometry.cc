@@ -94,11 +94,9 @@ Result<GltfSize> MeasureGltf(GltfBuffers& buffers, const GltfDocument& document,
 GltfGeometry::GltfGeometry(GltfBuffers& buffers, const OpenOptions& options)
     : buffers_(buffers), options_(options), vertices_(buffers.name(), options) {}
 
-Result<std::unique_ptr<GltfGeometry>> GltfGeometry::Load(GltfBuffers& buffers,
-                                                         const GltfDocument& document,
-                                                         const GltfScene& scene,
-                                                         const GltfDraw& draw,
-                                                         const OpenOptions& options) {
+Result<std::unique_ptr<GltfGeometry>> GltfGeometry::Load(
+    GltfBuffers& buffers, const GltfDocument& document, const GltfScene& scene,
+    const GltfDraw& draw, const OpenOptions& options, const std::set<std::string>* keep) {
   std::unique_ptr<GltfGeometry> geometry(new GltfGeometry(buffers, options));
   const GltfPrimitive& primitive = document.meshes[draw.mesh].primitives[draw.primitive];
   geometry->mode_ = primitive.draco ? GltfMode::kTriangles : primitive.mode;
@@ -107,6 +105,9 @@ Result<std::unique_ptr<GltfGeometry>> GltfGeometry::Load(GltfBuffers& buffers,
   }
   if (auto ok = geometry->LoadVertices(document, scene, draw); !ok) return Forward(ok);
   if (geometry->draco_) {
+    if (keep != nullptr) {
+      if (auto ok = geometry->Keep(document, draw, *keep); !ok) return Forward(ok);
+    }
     geometry->draco_->Drop();
     geometry->has_indices_ = true;
     geometry->corner_count_ = 3 * geometry->draco_->faces().size();
@@ -135,6 +136,26 @@ Result<void> GltfGeometry::LoadDraco(const GltfDocument& document, const GltfDra
                                               " faces, their head says more");
   }
   draco_ = std::move(*mesh);
+  return {};
+}
+
+Result<void> GltfGeometry::Keep(const GltfDocument& document, const GltfDraw& draw,
+                                const std::set<std::string>& keys) {
+  const GltfPrimitive& primitive = document.meshes[draw.mesh].primitives[draw.primitive];
+  std::uint64_t bytes = 0;
+  for (const auto& [key, id] : primitive.draco->ids) {
+    const auto accessor = primitive.attributes.find(key);
+    if (!keys.contains(key) || accessor == primitive.attributes.end()) continue;
+    const std::uint32_t components = document.accessors[accessor->second].components;
+    auto values = draco_->Values(id, buffers_.name() + ": " + key.substr(0, 40), components);
+    if (!values) return Forward(values);
+    bytes += values->size() * sizeof(double);
+    decoded_[key] = std::move(*values);
+  }
+  if (buffers_.memory() == nullptr) return {};
+  auto share = buffers_.memory()->Take(bytes, buffers_.name() + ": values of Draco data");
+  if (!share) return Forward(share);
+  decoded_share_ = std::move(*share);
   return {};
 }
 

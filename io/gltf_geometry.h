@@ -3,8 +3,10 @@
 
 #include <array>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <span>
 #include <string>
 #include <vector>
@@ -36,13 +38,20 @@ Result<GltfSize> MeasureGltf(GltfBuffers& buffers, const GltfDocument& document,
 /// they were compressed; small buffers. Threads: one at a time.
 class GltfGeometry : public PlacedGeometry {
  public:
-  /// All must outlive the geometry. Errors: those of MeasureGltf, kOverBudget, kIo.
+  /// `keep`: attributes whose values Decoded gives afterwards, if Draco has packed them. All others
+  /// must outlive the geometry. Errors: those of MeasureGltf, kOverBudget, kIo.
   static Result<std::unique_ptr<GltfGeometry>> Load(GltfBuffers& buffers,
                                                     const GltfDocument& document,
                                                     const GltfScene& scene, const GltfDraw& draw,
-                                                    const OpenOptions& options);
+                                                    const OpenOptions& options,
+                                                    const std::set<std::string>* keep = nullptr);
 
   const VertexStore& vertices() const override { return vertices_; }
+  /// Component after component, vertex after vertex; null for what is not packed or was not kept.
+  const std::vector<double>* Decoded(const std::string& key) const {
+    const auto found = decoded_.find(key);
+    return found == decoded_.end() ? nullptr : &found->second;
+  }
   /// The corners of triangle `number`, in the order of the specification; fewer than three for a
   /// rest. Valid until the next call. Errors: kIo.
   Result<std::span<const std::int64_t>> Corners(std::uint64_t number) override {
@@ -61,6 +70,8 @@ class GltfGeometry : public PlacedGeometry {
   Result<void> LoadVertices(const GltfDocument& document, const GltfScene& scene,
                             const GltfDraw& draw);
   Result<void> LoadDraco(const GltfDocument& document, const GltfDraw& draw);
+  Result<void> Keep(const GltfDocument& document, const GltfDraw& draw,
+                    const std::set<std::string>& keys);
   Result<std::span<const std::int64_t>> Three(std::uint64_t a, std::uint64_t b, std::uint64_t c) {
     std::size_t n = 0;
     for (const std::uint64_t at : {a, b, c}) {
@@ -83,6 +94,8 @@ class GltfGeometry : public PlacedGeometry {
   bool has_indices_ = false;
   std::optional<GltfValues> indices_;
   std::optional<DracoMesh> draco_;
+  std::map<std::string, std::vector<double>> decoded_;
+  MemoryShare decoded_share_;
   std::vector<std::uint32_t> window_;  // Corners from window_begin_ on.
   std::uint64_t window_begin_ = 0;
   std::array<std::int64_t, 3> corners_{};

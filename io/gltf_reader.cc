@@ -4,10 +4,12 @@
 #include <map>
 #include <new>
 #include <set>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "io/gltf_attributes.h"
 #include "io/gltf_buffers.h"
 #include "io/gltf_container.h"
 #include "io/gltf_document.h"
@@ -44,7 +46,23 @@ class GltfReader : public PlacedReader {
     info_.contents.meshes = document_.meshes.size();
     info_.contents.instances = scene_.instances.size();
     for (const auto& [what, n] : passed_over_) info_.contents.passed_over.emplace_back(what, n);
+    columns_ = ListGltfColumns(document_, scene_, draws_);
+    for (const GltfColumn& column : columns_) attributes_.push_back(column.attribute);
     return Rewind();
+  }
+
+  std::span<const MeshAttribute> attributes() const override { return attributes_; }
+  Result<std::unique_ptr<AttributePass>> ReadAttributes(std::span<const std::size_t> numbers,
+                                                        RunContext& context) override {
+    DropGeometry();
+    std::vector<GltfColumn> wanted;
+    for (const std::size_t n : numbers) wanted.push_back(columns_[n]);
+    const auto locate = [this](std::uint64_t triangle) -> GltfPlace {
+      const Location at = Locate(triangle);
+      return {at.placement, at.triangle, at.transform};
+    };
+    return PassOverGltf({buffers_, document_, scene_, draws_, options_, locate}, std::move(wanted),
+                        context);
   }
 
  protected:
@@ -97,6 +115,8 @@ class GltfReader : public PlacedReader {
   GltfScene scene_;
   std::map<std::string, std::uint64_t> passed_over_;
   std::vector<GltfDraw> draws_;
+  std::vector<GltfColumn> columns_;
+  std::vector<MeshAttribute> attributes_;
 };
 
 }  // namespace

@@ -1,6 +1,7 @@
 #include "io/placed_reader.h"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 namespace strata::io {
@@ -43,6 +44,23 @@ Result<void> PlacedReader::AddPlacement(const Placement& placement) {
   triangle_count_ += placement.triangles * placement.count;
   placements_.push_back({placement, begin, triangle_count_});
   return {};
+}
+
+PlacedReader::Location PlacedReader::Locate(std::uint64_t triangle) const {
+  const auto behind = std::upper_bound(
+      placements_.begin(), placements_.end(), triangle,
+      [](std::uint64_t number, const Numbered& each) { return number < each.begin; });
+  const Numbered& here = *std::prev(behind);
+  const std::uint64_t within = triangle - here.begin;
+  return {
+      static_cast<std::size_t>(behind - placements_.begin()) - 1,
+      here.placement.first_transform + static_cast<std::size_t>(within / here.placement.triangles),
+      within % here.placement.triangles};
+}
+
+void PlacedReader::DropGeometry() {
+  faces_ = FaceAssembler();
+  geometry_.reset();
 }
 
 Result<std::size_t> PlacedReader::Read(TriangleBatch& batch) {

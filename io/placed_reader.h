@@ -58,6 +58,15 @@ class PlacedReader : public MeshReader {
   Result<void> AddPlacement(const Placement& placement);
   ByteSource& source() const { return *source_; }
 
+  /// Where a triangle of this number stands. Precondition: it exists.
+  struct Location {
+    std::size_t placement = 0, transform = 0;
+    std::uint64_t triangle = 0;  ///< Within the geometry.
+  };
+  Location Locate(std::uint64_t triangle) const;
+  /// Gives back the memory of the present geometry; Rewind comes next.
+  void DropGeometry();
+
   MeshInfo info_;
   std::uint64_t vertex_count_ = 0;  ///< Of all vertex lists: what counts() says.
 

@@ -7,6 +7,7 @@ target_sources(strata_io PRIVATE
   ${CMAKE_CURRENT_LIST_DIR}/draco_mesh.cc
   ${CMAKE_CURRENT_LIST_DIR}/drc_reader.cc
   ${CMAKE_CURRENT_LIST_DIR}/gltf_accessor.cc
+  ${CMAKE_CURRENT_LIST_DIR}/gltf_attributes.cc
   ${CMAKE_CURRENT_LIST_DIR}/gltf_buffers.cc
   ${CMAKE_CURRENT_LIST_DIR}/gltf_container.cc
   ${CMAKE_CURRENT_LIST_DIR}/gltf_document.cc
