@@ -29,14 +29,18 @@ Vec3f AsFloat(Vec3 v) {
   return {static_cast<float>(v.x), static_cast<float>(v.y), static_cast<float>(v.z)};
 }
 
+// To a multiple of 2^-50: then the sum of three weights is 1 exactly, whichever of them is computed
+// from the other two, and what is interpolated does not depend on the corner that comes first.
+double OnGrid(double weight) { return RoundToInteger(weight * 0x1p50) * 0x1p-50; }
+
 // Barycentric weights of p on the corners in file order: second and third.
 std::array<double, 2> FileOrderWeights(const RaceTriangle& t, Vec3 p) {
   const Vec3 ab = t.corner[1] - t.corner[0], ac = t.corner[2] - t.corner[0], ap = p - t.corner[0];
   const Vec3 n = Cross(ab, ac);
   const double n2 = Norm2(n);
   std::array<double, 3> w{};  // Of corner[0..2].
-  w[1] = std::clamp(Dot(Cross(ap, ac), n) / n2, 0.0, 1.0);
-  w[2] = std::clamp(Dot(Cross(ab, ap), n) / n2, 0.0, 1.0 - w[1]);
+  w[1] = OnGrid(std::clamp(Dot(Cross(ap, ac), n) / n2, 0.0, 1.0));
+  w[2] = OnGrid(std::clamp(Dot(Cross(ab, ap), n) / n2, 0.0, 1.0 - w[1]));
   w[0] = 1 - w[1] - w[2];
   // corner[k] is number (first + k) % 3 of the file.
   const auto number = [&](int file) { return static_cast<std::size_t>((file + 3 - t.first) % 3); };

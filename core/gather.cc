@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/numeric.h"
 #include "core/parcels.h"
 #include "core/rejection.h"
 #include "core/stopwatch.h"
@@ -35,10 +36,19 @@ void Resize(SampleColumns& out, AttributeSet want, std::size_t n) {
   out.barycentric.resize((want & kBarycentric) != 0 ? n : 0);
   out.cell.resize((want & kCell) != 0 ? n : 0);
   out.area.resize((want & kArea) != 0 ? n : 0);
+  out.weight.resize((want & kWeight) != 0 ? n : 0);
 }
 
-void Put(SampleColumns& out, std::size_t k, const GatherOptions& options, Vec3 position, Cell cell,
-         const Reservoir& r) {
+// What becomes a sample.
+struct Winner {
+  Vec3 position;
+  Cell cell;
+  const Reservoir& reservoir;
+  FixedArea area;  // What it stands for.
+};
+
+void Put(SampleColumns& out, std::size_t k, const GatherOptions& options, const Winner& winner) {
+  const auto& [position, cell, r, area] = winner;
   const AttributeSet want = options.attributes;
   const double edge = options.lattice.edge;
   out.position[k] = position;
@@ -50,15 +60,17 @@ void Put(SampleColumns& out, std::size_t k, const GatherOptions& options, Vec3 p
   }
   if ((want & kCell) != 0) out.cell[k] = cell;
   if ((want & kArea) != 0) {
-    out.area[k] = static_cast<double>(r.area) * (kFixedAreaUnit * edge * edge);
+    out.area[k] = static_cast<double>(area) * (kFixedAreaUnit * edge * edge);
   }
+  if ((want & kWeight) != 0) out.weight[k] = Exp(-options.lambda * Norm(r.local));
 }
 
 std::uint64_t BytesPerSample(AttributeSet attributes) {
   SampleColumns one;
   Resize(one, attributes, 1);
   return sizeof(Vec3) + one.normal.size() * sizeof(Vec3f) + one.triangle.size() * 8 +
-         one.barycentric.size() * 24 + one.cell.size() * sizeof(Cell) + one.area.size() * 8;
+         one.barycentric.size() * 24 + one.cell.size() * sizeof(Cell) +
+         (one.area.size() + one.weight.size()) * 8;
 }
 
 // --- All at once -----------------------------------------------------------------------------
@@ -85,6 +97,7 @@ struct AllCells {
   std::vector<Vec3> position;
   std::vector<double> time;
   std::vector<Cell> cell;
+  std::vector<FixedArea> area;  // Where it is wanted: what each stands for.
 };
 
 AllCells Collect(const ReservoirGrid& grid, const GatherOptions& options) {
@@ -95,6 +108,9 @@ AllCells Collect(const ReservoirGrid& grid, const GatherOptions& options) {
     all.time[i] = reservoir.time;
     all.position[i] = PositionOf(options, cell, reservoir);
   });
+  if ((options.attributes & kArea) == 0) return all;
+  all.area.reserve(grid.size());
+  for (const Reservoir* r : all.reservoir) all.area.push_back(r->area);
   return all;
 }
 
@@ -110,7 +126,8 @@ SampleColumns Keep(const AllCells& all, const std::vector<std::uint8_t>& fate,
   tbb::parallel_for(tbb::blocked_range<std::size_t>(0, kept.size(), 4096), [&](const auto& range) {
     for (std::size_t k = range.begin(); k != range.end(); ++k) {
       const std::size_t i = kept[k];
-      Put(out, k, options, all.position[i], all.cell[i], *all.reservoir[i]);
+      Put(out, k, options,
+          {all.position[i], all.cell[i], *all.reservoir[i], all.area.empty() ? 0 : all.area[i]});
     }
   });
   return out;
@@ -194,10 +211,13 @@ class PassSource : public SampleSource {
         continue;
       }
       for (const BlockReservoirs::Entry& entry : block_.cells) {
-        if (survivors_ && !survivors_->Has(number_++)) continue;
+        ++number_;
+        if (survivors_ && !survivors_->Has(number_ - 1)) continue;
         const Cell cell = CellOf(block_.block, entry.offset);
-        Put(out, filled++, options_, PositionOf(options_, cell, entry.reservoir), cell,
-            entry.reservoir);
+        const auto area = AreaOf(number_ - 1, entry.reservoir);
+        if (!area) return Forward(area);
+        Put(out, filled++, options_,
+            {PositionOf(options_, cell, entry.reservoir), cell, entry.reservoir, *area});
       }
     }
     Resize(out, options_.attributes, filled);
@@ -205,6 +225,12 @@ class PassSource : public SampleSource {
   }
 
  private:
+  // What the sample stands for that has this number among all.
+  Result<FixedArea> AreaOf(std::uint64_t number, const Reservoir& reservoir) {
+    if (!survivors_ || !survivors_->heirs()) return reservoir.area;
+    return survivors_->heirs()->AreaOf(number, reservoir.area);
+  }
+
   std::unique_ptr<ReservoirStore> store_;
   std::unique_ptr<BlockStream> blocks_;
   std::optional<Survivors> survivors_;  // None = all.
@@ -308,7 +334,7 @@ Result<Gathered> PassJob::Run() {
 
 Result<Gathered> GatherInMemory(std::unique_ptr<ReservoirStore> store, const GatherOptions& options,
                                 RunContext& context) {
-  const AllCells all = Collect(store->grid(), options);
+  AllCells all = Collect(store->grid(), options);
   Gathered out;
   out.cells = all.cell.size();
   AreaSum area;
@@ -319,7 +345,7 @@ Result<Gathered> GatherInMemory(std::unique_ptr<ReservoirStore> store, const Gat
   out.parcels = std::move(*parcels);
   context.SetStage(RunContext::Stage::kReject);
   const Stopwatch watch;
-  const auto fate = RejectClosePoints({all.position, all.time, all.cell},
+  const auto fate = RejectClosePoints({all.position, all.time, all.cell, all.area},
                                       options.min_distance * options.lattice.edge, context);
   if (!fate) return Forward(fate);
   out.reject_seconds = watch.seconds();

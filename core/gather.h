@@ -20,6 +20,7 @@ struct GatherOptions {
   Lattice lattice;
   Bounds surface;  ///< Of the surface, world units: no sample lies outside.
   double min_distance = 0.5;
+  double lambda = 5;  ///< Of the density: for kWeight.
   AttributeSet attributes = kNormal;
   /// Whether a sample may lie outside its cell (Integrator::kSubdivide).
   bool samples_leave_cells = false;
@@ -41,7 +42,7 @@ struct Gathered {
 };
 
 /// Memory that gathering in memory takes beside the grid, per occupied cell, at most.
-inline constexpr std::uint64_t kGatherBytesPerCell = 260;
+inline constexpr std::uint64_t kGatherBytesPerCell = 276;
 
 /// Gathers everything at once; the store must lie in memory. Call inside the arena that is to be
 /// used. Errors: kCancelled.

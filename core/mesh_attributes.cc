@@ -32,28 +32,16 @@ bool IsPlain(char c) {
 // Calls f with a value of the C++ type that `type` names.
 template <class F>
 void WithType(ScalarType type, F&& f) {
-  switch (type) {
-    case ScalarType::kInt8:
-      return f(std::int8_t());
-    case ScalarType::kUint8:
-      return f(std::uint8_t());
-    case ScalarType::kInt16:
-      return f(std::int16_t());
-    case ScalarType::kUint16:
-      return f(std::uint16_t());
-    case ScalarType::kInt32:
-      return f(std::int32_t());
-    case ScalarType::kUint32:
-      return f(std::uint32_t());
-    case ScalarType::kInt64:
-      return f(std::int64_t());
-    case ScalarType::kUint64:
-      return f(std::uint64_t());
-    case ScalarType::kFloat32:
-      return f(float());
-    case ScalarType::kFloat64:
-      return f(double());
-  }
+  if (type == ScalarType::kInt8) return f(std::int8_t());
+  if (type == ScalarType::kUint8) return f(std::uint8_t());
+  if (type == ScalarType::kInt16) return f(std::int16_t());
+  if (type == ScalarType::kUint16) return f(std::uint16_t());
+  if (type == ScalarType::kInt32) return f(std::int32_t());
+  if (type == ScalarType::kUint32) return f(std::uint32_t());
+  if (type == ScalarType::kInt64) return f(std::int64_t());
+  if (type == ScalarType::kUint64) return f(std::uint64_t());
+  if (type == ScalarType::kFloat32) return f(float());
+  return f(double());
 }
 
 template <class T>
@@ -67,7 +55,7 @@ T Load(const char* from, int component) {
 template <class T>
 bool Less(T a, T b) {
   if constexpr (std::is_floating_point_v<T>) {
-    if (a != a || b != b) return a == a;
+    if (std::isnan(a) || std::isnan(b)) return !std::isnan(a);
   }
   return a < b;
 }

@@ -189,7 +189,9 @@ class Component {
     if (end - begin == 2) {
       const Index a = graph_.member[begin], b = graph_.member[begin + 1];
       // The two are equally far from each other's "centroid": a tie.
-      Remove(GoesFirst({0, a}, {0, b}) ? a : b);
+      const bool a_goes = GoesFirst({0, a}, {0, b});
+      Bequeath(a_goes ? a : b, a_goes ? b : a);
+      Remove(a_goes ? a : b);
       return;
     }
     for (std::size_t i = begin; i < end; ++i) Enqueue(graph_.member[i]);
@@ -197,6 +199,7 @@ class Component {
       const Candidate worst = queue_.top();
       queue_.pop();
       if (!Alive(worst.node) || Score(worst.node) != worst.score) continue;
+      if (!input_.area.empty()) Bequeath(worst.node, Heir(worst.node));
       Remove(worst.node);
       for (std::size_t e = graph_.first[worst.node]; e < graph_.first[worst.node + 1]; ++e) {
         if (Alive(graph_.neighbour[e])) Enqueue(graph_.neighbour[e]);
@@ -211,6 +214,24 @@ class Component {
   };
 
   bool Alive(Index node) const { return survives_[graph_.point[node]] != 0; }
+  // The nearest neighbour that is left; there is one.
+  Index Heir(Index node) const {
+    Candidate best{0, kNone};
+    for (std::size_t e = graph_.first[node]; e < graph_.first[node + 1]; ++e) {
+      const Candidate other{Norm2(Position(graph_.neighbour[e]) - Position(node)),
+                            graph_.neighbour[e]};
+      if (!Alive(other.node)) continue;
+      // Of equal distances GoesFirst tells who would go first.
+      if (best.node == kNone || GoesFirst(best, other)) best = other;
+    }
+    return best.node;
+  }
+  void Bequeath(Index from, Index to) {
+    if (input_.area.empty()) return;
+    FixedArea& left = input_.area[graph_.point[from]];
+    FixedArea& heir = input_.area[graph_.point[to]];
+    heir = AddAreas(heir, std::exchange(left, 0));
+  }
   void Remove(Index node) { survives_[graph_.point[node]] = kRemovedSample; }
   Vec3 Position(Index node) const { return input_.position[graph_.point[node]]; }
 

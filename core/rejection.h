@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "core/reservoir.h"
 #include "core/result.h"
 #include "core/run_context.h"
 #include "core/vec3.h"
@@ -16,6 +17,10 @@ struct RejectionInput {
   std::span<const Vec3> position;  ///< World units.
   std::span<const double> time;    ///< Race keys: of two tied candidates the later one goes,
   std::span<const Cell> cell;      ///< then the one with the larger cell.
+  /// Empty, or what each point stands for: a point that is removed leaves all it has to the nearest
+  /// of the neighbours it still had (of equally near ones to the one that would go last), and keeps
+  /// 0. Sums are exact, so the areas do not depend on threads.
+  std::span<FixedArea> area = {};
 };
 
 /// What RejectClosePoints says of a point.

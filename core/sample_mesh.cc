@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "core/arena.h"
+#include "core/carry_attributes.h"
 #include "core/checkpoint.h"
 #include "core/enclosing_ball.h"
 #include "core/gather.h"
@@ -390,11 +391,8 @@ class ScanJob {
 };
 
 GatherOptions GatherOptionsOf(const SampleStats& stats, const SampleOptions& options) {
-  return {stats.lattice,
-          stats.bounds,
-          options.min_distance,
-          options.attributes,
-          options.integrator == Integrator::kSubdivide,
+  return {stats.lattice,       stats.bounds,       options.min_distance,
+          options.lambda,      options.attributes, options.integrator == Integrator::kSubdivide,
           options.parcel_cells};
 }
 
@@ -403,8 +401,18 @@ SampledMesh Sampled(SampleStats stats, Gathered gathered) {
   stats.cell_area = gathered.cell_area;
   stats.survivors = gathered.survivors;
   stats.reject_seconds = gathered.reject_seconds;
-  return {std::move(stats), gathered.bounds, std::move(gathered.parcels),
+  return {std::move(stats),
+          gathered.bounds,
+          std::move(gathered.parcels),
+          {},
           std::move(gathered.samples)};
+}
+
+Result<SampledMesh> SampleStratified(MeshReader& reader, const SampleOptions& options,
+                                     RunContext& context) {
+  auto scanned = ScanMesh(reader, options, {}, {}, context);
+  if (!scanned) return Forward(scanned);
+  return GatherSamples(std::move(*scanned), options, context);
 }
 
 }  // namespace
@@ -493,17 +501,26 @@ Result<SampledMesh> GatherRegion(ScannedMesh scanned, std::span<const Partial> p
 
 Result<SampledMesh> SampleMeshStreamed(MeshReader& reader, const SampleOptions& options,
                                        RunContext& context) {
-  if (options.method == Method::kUniform) return SampleUniform(reader, options, context);
-  auto scanned = ScanMesh(reader, options, {}, {}, context);
-  if (!scanned) return Forward(scanned);
-  return GatherSamples(std::move(*scanned), options, context);
+  const auto plan = PlanCarry(reader.attributes(), options);
+  if (!plan) return Forward(plan);
+  SampleOptions of_scan = options;
+  of_scan.attributes = GatheredFor(*plan, options);
+  auto sampled = options.method == Method::kUniform ? SampleUniform(reader, of_scan, context)
+                                                    : SampleStratified(reader, of_scan, context);
+  if (!sampled || plan->empty()) return sampled;
+  const Stopwatch watch;
+  auto carried = InArena(
+      options.threads, [&] { return CarryAttributes(reader, *plan, options, *sampled, context); });
+  if (!carried) return Forward(carried);
+  sampled->stats.carry_seconds = watch.seconds();
+  return sampled;
 }
 
 Result<SampleResult> SampleMesh(MeshReader& reader, const SampleOptions& options,
                                 RunContext& context) {
   auto sampled = SampleMeshStreamed(reader, options, context);
   if (!sampled) return Forward(sampled);
-  SampleResult result{{}, std::move(sampled->stats)};
+  SampleResult result{{}, std::move(sampled->stats), std::move(sampled->carried)};
   SampleColumns next;
   for (;;) {
     const auto more = sampled->samples->Next(next);

@@ -51,7 +51,10 @@ struct SampleOptions {
   /// have no say. 0 = as many as kStratified keeps with the same options.
   std::uint64_t count = 0;
   AttributeSet attributes = kNormal;
-  bool strict = false;  ///< Any skipped triangle is an error (kCorruptInput).
+  /// What else samples take from the mesh: names of attributes or of what they mean (PlanCarry).
+  std::vector<std::string> mesh_attributes;
+  bool vertex_normals = false;  ///< kNormal is interpolated from the mesh's normals.
+  bool strict = false;          ///< Any skipped triangle is an error (kCorruptInput).
   // ---
   int threads = 0;                ///< 0 = all the processors this process may use.
   std::size_t batch_size = 2048;  ///< Triangles per batch, >= 1.
@@ -78,6 +81,7 @@ struct SampleStats {
   std::uint64_t pieces = 0;     ///< Triangle ∩ cell pairs of positive area.
   std::uint64_t survivors = 0;  ///< Samples after rejection.
   double lattice_seconds = 0, scan_seconds = 0, reject_seconds = 0;  ///< Wall time by stage.
+  double carry_seconds = 0;      ///< Of that, for the mesh's attributes.
   std::uint64_t resumed_at = 0;  ///< The triangles before this one were a former process's work.
   int passes = 1;                ///< How often the triangles were read.
 };
@@ -85,6 +89,7 @@ struct SampleStats {
 struct SampleResult {
   SampleColumns samples;  ///< Survivors in canonical order: by block of 8^3 cells, then by cell.
   SampleStats stats;
+  std::vector<MeshAttribute> carried = {};  ///< What samples.carried holds.
 };
 
 /// What is known once the samples are decided, and the samples on their way out.
@@ -92,6 +97,7 @@ struct SampledMesh {
   SampleStats stats;
   Bounds bounds;                          ///< Of the survivors; world units.
   std::vector<OctreeNode> parcels;        ///< Of all cells, if options.parcel_cells asks for them.
+  std::vector<MeshAttribute> carried;     ///< What the samples' carried columns hold.
   std::unique_ptr<SampleSource> samples;  ///< `stats.survivors` of them.
 };
 
@@ -102,7 +108,8 @@ struct SampledMesh {
 /// the reader's, plus 15 MB per thread, plus at most kBytesPerCell per occupied cell - or, with a
 /// limited account, what is left of that: the rest goes to the context's scratch space (kUniform:
 /// core/uniform.h).
-/// Errors: the reader's; kInvalidArgument (options out of range), kEmptySurface, kOverBudget (cell
+/// Errors: the reader's; kInvalidArgument (options out of range, or an attribute that the mesh does
+/// not carry, which is found before any work), kEmptySurface, kOverBudget (cell
 /// coordinates beyond 2^30, more than max_cells, or a stage that does not fit its share of memory),
 /// kCancelled, kCorruptInput (strict), kIo (scratch space). The reader and the context must outlive
 /// the samples.

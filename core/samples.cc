@@ -1,5 +1,6 @@
 #include "core/samples.h"
 
+#include <algorithm>
 #include <utility>
 
 namespace strata {
@@ -23,6 +24,11 @@ void SampleColumns::Append(SampleColumns&& more) {
   AppendColumn(barycentric, std::move(more.barycentric));
   AppendColumn(cell, std::move(more.cell));
   AppendColumn(area, std::move(more.area));
+  AppendColumn(weight, std::move(more.weight));
+  carried.resize(std::max(carried.size(), more.carried.size()));
+  for (std::size_t k = 0; k < more.carried.size(); ++k) {
+    AppendColumn(carried[k], std::move(more.carried[k]));
+  }
 }
 
 }  // namespace strata

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/cell_octree.h"
+#include "core/mesh_attributes.h"
 #include "core/result.h"
 #include "core/vec3.h"
 
@@ -19,14 +20,18 @@ enum Attribute : std::uint32_t {
   kTriangle = 2,  ///< Position of its triangle in file order, from 0; uint64.
   kBarycentric = 4,  ///< Weights of the triangle's corners in file order, sum 1; 3 × float64.
   kCell = 8,         ///< The lattice cell that drew the sample; 3 × int32.
-  kArea = 16,        ///< Surface inside that cell, world units squared; float64.
+  /// Surface that the sample stands for, world units squared; float64. That inside its cell, and
+  /// inside the cells whose samples the minimum distance removed in its favour: over all samples
+  /// the areas add up to the mesh's (docs/adr/0022).
+  kArea = 16,
+  kWeight = 32,  ///< The density f = exp(-lambda d) at the sample, 0 < f <= 1; float64.
 };
 using AttributeSet = std::uint32_t;
-inline constexpr AttributeSet kAllAttributes = 31;
+inline constexpr AttributeSet kAllAttributes = 63;
 
 /// Names on the command line, on the wire and in files, in the order of the bits.
-inline constexpr std::array<const char*, 5> kAttributeNames = {"normal", "triangle", "barycentric",
-                                                               "cell", "area"};
+inline constexpr std::array<const char*, 6> kAttributeNames = {"normal", "triangle", "barycentric",
+                                                               "cell",   "area",     "weight"};
 
 /// Samples as columns of equal length. A column that was not asked for is empty.
 struct SampleColumns {
@@ -36,6 +41,10 @@ struct SampleColumns {
   std::vector<std::array<double, 3>> barycentric;
   std::vector<Cell> cell;
   std::vector<double> area;
+  std::vector<double> weight;
+  /// Columns that the mesh's attributes became: bytes of all values one after the other, each of
+  /// MeshAttribute::bytes(). What each is, the header or result that comes with the samples says.
+  std::vector<std::vector<char>> carried;
 
   std::size_t size() const { return position.size(); }
   /// Adds samples with the same columns at the end.
@@ -55,9 +64,10 @@ class SampleSource {
 struct SampleHeader {
   std::uint64_t count = 0;  ///< Samples that will be written.
   AttributeSet attributes = kNormal;
-  double edge = 1;      ///< The cell's edge `e`, world units.
-  Vec3 lattice_origin;  ///< A corner of the cell (0,0,0); world units.
-  Bounds bounds;        ///< Encloses every position; world units.
+  std::vector<MeshAttribute> carried;  ///< What SampleColumns::carried holds, in the same order.
+  double edge = 1;                     ///< The cell's edge `e`, world units.
+  Vec3 lattice_origin;                 ///< A corner of the cell (0,0,0); world units.
+  Bounds bounds;                       ///< Encloses every position; world units.
   /// Encloses every position, too, and is known before any sample is: the surface's. Tiles' lattice
   /// of positions is a function of it. Empty = as `bounds`.
   Bounds surface;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <string>
 
 #include "core/numeric.h"
@@ -14,7 +15,7 @@ namespace {
 // and edges of the conflict graph, which grow with the samples within the distance.
 std::uint64_t WindowBytesPerSample(double min_distance) {
   const double neighbours = std::ceil(kPi * min_distance * min_distance);
-  return 140 + static_cast<std::uint64_t>(neighbours) * 40;
+  return 160 + static_cast<std::uint64_t>(neighbours) * 40;
 }
 
 // Samples that are not settled yet.
@@ -23,6 +24,8 @@ struct Window {
   std::vector<double> time;
   std::vector<Cell> cell;
   std::vector<std::uint64_t> number;
+  // What each stands for, and what of that was its own; empty where areas are not wanted.
+  std::vector<FixedArea> area, own;
 
   std::size_t size() const { return position.size(); }
   // Keeps the samples whose fate is kOpen.
@@ -34,12 +37,14 @@ struct Window {
       time[kept] = time[i];
       cell[kept] = cell[i];
       number[kept] = number[i];
+      if (!area.empty()) area[kept] = area[i], own[kept] = own[i];
       ++kept;
     }
     position.resize(kept);
     time.resize(kept);
     cell.resize(kept);
     number.resize(kept);
+    if (!area.empty()) area.resize(kept), own.resize(kept);
   }
 };
 
@@ -58,6 +63,7 @@ class StreamJob {
         survivors_(blocks.samples) {}
 
   Result<Survivors> Run(BlockStream& stream) {
+    if (auto ready = PrepareHeirs(); !ready) return Forward(ready);
     BlockReservoirs block;
     std::size_t wait_until = Target();
     for (;;) {
@@ -72,6 +78,10 @@ class StreamJob {
     }
     if (auto settled = Settle(); !settled) return Forward(settled);
     NoteUndecided();
+    if (heirs_ != nullptr) {
+      if (auto sorted = heirs_->Sort(); !sorted) return Forward(sorted);
+      survivors_.SetHeirs(std::move(heirs_));
+    }
     return std::move(survivors_);
   }
 
@@ -82,6 +92,18 @@ class StreamJob {
     return window_.size() + std::max<std::size_t>(room_ / 2, window_.size() / 2);
   }
 
+  bool wants_areas() const { return (options_.attributes & kArea) != 0; }
+
+  Result<void> PrepareHeirs() {
+    if (!wants_areas()) return {};
+    constexpr std::uint64_t kMost = std::uint64_t{64} << 20;
+    const std::uint64_t left = context_.memory().left();
+    auto heirs = Heirs::Open(std::clamp(left / 16, ExternalSort::kLeastBytes, kMost), context_);
+    if (!heirs) return Forward(heirs);
+    heirs_ = std::move(*heirs);
+    return {};
+  }
+
   void Take(const BlockReservoirs& block) {
     ++blocks_read_;
     for (const BlockReservoirs::Entry& entry : block.cells) {
@@ -90,6 +112,9 @@ class StreamJob {
       window_.time.push_back(entry.reservoir.time);
       window_.cell.push_back(cell);
       window_.number.push_back(taken_++);
+      if (!wants_areas()) continue;
+      window_.area.push_back(entry.reservoir.area);
+      window_.own.push_back(entry.reservoir.area);
     }
     context_.SetProgress(taken_, samples_);
   }
@@ -97,8 +122,8 @@ class StreamJob {
   Result<void> Settle() {
     std::vector<std::uint8_t> open(window_.size());
     for (std::size_t i = 0; i < open.size(); ++i) open[i] = IsOpen(i);
-    const auto fate = RejectClosePoints({window_.position, window_.time, window_.cell}, distance_,
-                                        context_, open);
+    const auto fate = RejectClosePoints(
+        {window_.position, window_.time, window_.cell, window_.area}, distance_, context_, open);
     if (!fate) return Forward(fate);
     for (std::size_t i = 0; i < window_.size(); ++i) {
       if ((*fate)[i] != kSurvivingSample) continue;
@@ -106,6 +131,9 @@ class StreamJob {
       survivors_.Add(window_.number[i]);
       survivors_.bounds.Add(window_.position[i]);
       ++survivors_.count;
+      if (!wants_areas() || window_.area[i] == window_.own[i]) continue;
+      auto noted = heirs_->Add(window_.number[i], window_.area[i]);
+      if (!noted) return noted;
     }
     window_.Keep(*fate);
     return {};
@@ -176,9 +204,37 @@ class StreamJob {
   std::size_t blocks_read_ = 0;
   Window window_;
   Survivors survivors_;
+  std::unique_ptr<Heirs> heirs_;  // Null where areas are not wanted.
 };
 
 }  // namespace
+
+Result<std::unique_ptr<Heirs>> Heirs::Open(std::uint64_t memory_bytes, RunContext& context) {
+  auto sorter = ExternalSort::Open(2 * sizeof(std::uint64_t), memory_bytes,
+                                   "the areas that removed samples leave", context);
+  if (!sorter) return Forward(sorter);
+  return std::unique_ptr<Heirs>(new Heirs(std::move(*sorter)));
+}
+
+Result<void> Heirs::Add(std::uint64_t number, FixedArea area) {
+  const std::uint64_t record[2] = {number, area};
+  return sorted_->Add(reinterpret_cast<const char*>(record));
+}
+
+Result<void> Heirs::Sort() { return sorted_->Sort(); }
+
+Result<FixedArea> Heirs::AreaOf(std::uint64_t number, FixedArea own) {
+  if (!has_next_ && !at_end_) {
+    const auto record = sorted_->Next();
+    if (!record) return Forward(record);
+    has_next_ = *record != nullptr;
+    at_end_ = !has_next_;
+    if (has_next_) std::memcpy(next_, *record, sizeof next_);
+  }
+  if (!has_next_ || next_[0] != number) return own;
+  has_next_ = false;
+  return next_[1];
+}
 
 Vec3 PositionOf(const GatherOptions& options, Cell cell, const Reservoir& reservoir) {
   const Vec3 at = Vec3{cell.x + 0.5, cell.y + 0.5, cell.z + 0.5} + reservoir.local;

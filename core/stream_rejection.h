@@ -2,10 +2,13 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "core/block.h"
+#include "core/external_sort.h"
 #include "core/gather.h"
 #include "core/result.h"
 #include "core/run_context.h"
@@ -13,10 +16,33 @@
 
 namespace strata {
 
+/// What survivors stand for that were left something by samples that were removed.
+class Heirs {
+ public:
+  /// Memory: as ExternalSort of `memory_bytes`. Errors: kOverBudget.
+  static Result<std::unique_ptr<Heirs>> Open(std::uint64_t memory_bytes, RunContext& context);
+
+  /// In any order. Errors: those of ExternalSort::Add.
+  Result<void> Add(std::uint64_t number, FixedArea area);
+  Result<void> Sort();
+  /// The area noted for the sample of this number, or else `own`. Numbers ascend from call to call,
+  /// and none is left out for which an area was noted.
+  Result<FixedArea> AreaOf(std::uint64_t number, FixedArea own);
+
+ private:
+  explicit Heirs(std::unique_ptr<ExternalSort> sorted) : sorted_(std::move(sorted)) {}
+  std::unique_ptr<ExternalSort> sorted_;
+  std::uint64_t next_[2] = {0, 0};  // Number and area; used up if has_next_ is false.
+  bool has_next_ = false, at_end_ = false;
+};
+
 /// Which of numbered samples survive.
 class Survivors {
  public:
   explicit Survivors(std::uint64_t samples) : bits_((samples + 63) / 64) {}
+  /// Null where areas are not wanted.
+  Heirs* heirs() const { return heirs_.get(); }
+  void SetHeirs(std::unique_ptr<Heirs> heirs) { heirs_ = std::move(heirs); }
   void Add(std::uint64_t number) { bits_[number / 64] |= std::uint64_t{1} << (number % 64); }
   bool Has(std::uint64_t number) const { return (bits_[number / 64] >> (number % 64) & 1) != 0; }
   static std::uint64_t BytesFor(std::uint64_t samples) { return samples / 8 + 8; }
@@ -28,6 +54,7 @@ class Survivors {
 
  private:
   std::vector<std::uint64_t> bits_;
+  std::unique_ptr<Heirs> heirs_;
 };
 
 /// The sample of a reservoir in world units, kept within the surface's bounds.

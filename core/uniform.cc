@@ -285,6 +285,7 @@ class UniformSource final : public SampleSource {
         out.cell.push_back(CellAt(arrival.position, job_.lattice.origin, job_.lattice.edge));
       }
       if (wants(kArea)) out.area.push_back(area);
+      if (wants(kWeight)) out.weight.push_back(1);  // As the density with lambda 0.
     }
   }
 
@@ -308,6 +309,8 @@ Result<std::uint64_t> CountStratified(MeshReader& reader, SampleOptions options,
                                       RunContext& context) {
   options.method = Method::kStratified;
   options.attributes = 0;
+  options.mesh_attributes.clear();
+  options.vertex_normals = false;
   options.parcel_cells = 0;
   const auto sampled = SampleMeshStreamed(reader, options, context);
   if (!sampled) return Forward(sampled);
@@ -387,7 +390,7 @@ Result<SampledMesh> SampleUniform(MeshReader& reader, const SampleOptions& optio
   stats->scan_seconds = watch.seconds();
   stats->survivors = count;
   const Bounds bounds = stats->bounds;
-  return SampledMesh{*std::move(stats), bounds, {}, std::move(source)};
+  return SampledMesh{*std::move(stats), bounds, {}, {}, std::move(source)};
 }
 
 }  // namespace strata

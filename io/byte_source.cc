@@ -257,6 +257,12 @@ Result<std::string_view> InputBuffer::Peek(std::size_t n) {
   return std::string_view(buffer_.data() + begin_, end_ - begin_);
 }
 
+void InputBuffer::Forget() {
+  begin_ = end_ = 0;
+  at_end_ = false;
+  base_ = UINT64_MAX;
+}
+
 Result<void> InputBuffer::Seek(std::uint64_t offset) {
   if (offset >= base_ && offset - base_ <= end_) {
     begin_ = static_cast<std::size_t>(offset - base_);

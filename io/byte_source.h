@@ -77,6 +77,8 @@ class InputBuffer {
   /// Offset in the unpacked stream of the next byte to be consumed.
   std::uint64_t offset() const { return base_ + begin_; }
   Result<void> Seek(std::uint64_t offset);
+  /// Somebody else moved the source: what is in the window is dropped. Only Seek may follow.
+  void Forget();
   /// From now on nothing from byte `offset` on is read ahead of what a Peek asks for. Default: no
   /// limit.
   void LimitAhead(std::uint64_t offset) { ahead_ = offset; }

@@ -6,15 +6,20 @@ namespace strata::io {
 namespace {
 
 // The name of a column whose length is wrong, or null.
-const char* WrongColumn(const SampleColumns& columns, AttributeSet attributes) {
+const char* WrongColumn(const SampleColumns& columns, const SampleHeader& header) {
   const std::size_t n = columns.size();
-  const std::size_t sizes[] = {columns.normal.size(), columns.triangle.size(),
+  const std::size_t sizes[] = {columns.normal.size(),      columns.triangle.size(),
                                columns.barycentric.size(), columns.cell.size(),
-                               columns.area.size()};
+                               columns.area.size(),        columns.weight.size()};
   for (std::size_t k = 0; k < kAttributeNames.size(); ++k) {
-    const bool wanted = (attributes >> k & 1) != 0;
+    const bool wanted = (header.attributes >> k & 1) != 0;
     // A column that was not asked for may be there: it is left out of the file.
     if (wanted && sizes[k] != n) return kAttributeNames[k];
+  }
+  for (std::size_t k = 0; k < header.carried.size(); ++k) {
+    const MeshAttribute& column = header.carried[k];
+    const bool there = k < columns.carried.size();
+    if (!there || columns.carried[k].size() != n * column.bytes()) return column.name.c_str();
   }
   return nullptr;
 }
@@ -33,7 +38,7 @@ tl::unexpected<Error> CheckedWriter::FailInternal(const std::string& what) const
 }
 
 Result<void> CheckedWriter::Write(const SampleColumns& columns) {
-  if (const char* wrong = WrongColumn(columns, header_.attributes)) {
+  if (const char* wrong = WrongColumn(columns, header_)) {
     return FailInternal(std::string("the column '") + wrong + "' does not have one value for " +
                         "each of " + std::to_string(columns.size()) + " samples");
   }

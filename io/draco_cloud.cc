@@ -19,6 +19,7 @@
 #include <stdexcept>
 #include <utility>
 
+#include "io/carried_columns.h"
 #include "io/draco_in_turn.h"
 
 namespace strata::io {
@@ -35,6 +36,9 @@ constexpr int kSpeed = 5;
 // Draco's entropy estimate allocates a table as long as the largest symbol; this keeps it at 512
 // MiB.
 constexpr std::int64_t kLargestCellRange = std::int64_t{1} << 26;
+// The same for integers that the mesh carries: 4 MiB.
+constexpr std::int64_t kLargestPackedRange = std::int64_t{1} << 18;
+constexpr int kMostDracoComponents = 15;
 
 using draco::AttributeValueIndex;
 using draco::GeometryAttribute;
@@ -64,8 +68,10 @@ std::array<float, 3> GridBarycentric(const std::array<double, 3>& weights) {
 // know of each.
 class CloudBuilder {
  public:
-  CloudBuilder(const RowReader& rows, const FloatGrid& grid, const SampleHeader& header)
-      : rows_(rows), layout_(rows.layout()), grid_(grid), header_(header) {
+  // `wide` tells of each carried column whether its integers are too far apart to be packed.
+  CloudBuilder(const RowReader& rows, const FloatGrid& grid, const SampleHeader& header,
+               std::vector<bool> wide)
+      : rows_(rows), layout_(rows.layout()), grid_(grid), header_(header), wide_(std::move(wide)) {
     options_.SetGlobalInt("encoding_method", draco::POINT_CLOUD_SEQUENTIAL_ENCODING);
     options_.SetSpeed(kSpeed, kSpeed);
     AddMetadata();
@@ -175,6 +181,51 @@ class CloudBuilder {
         return std::array{static_cast<float>(layout_.Area(row))};
       });
     }
+    if (has(kWeight)) {
+      Add<float, 1>(
+          "weight", GeometryAttribute::GENERIC, draco::DT_FLOAT32,
+          [this](const char* row) { return std::array{static_cast<float>(layout_.Weight(row))}; });
+    }
+    for (std::size_t k = 0; k < header_.carried.size(); ++k) AddCarried(k);
+  }
+
+  // The first colour and the first UV are what viewers take for such.
+  GeometryAttribute::Type TypeOf(std::size_t k) const {
+    const auto& columns = header_.carried;
+    const auto first_of = [&](Semantic semantic) {
+      const auto is = [&](const MeshAttribute& c) { return c.semantic == semantic; };
+      return columns[k].semantic == semantic &&
+             std::find_if(columns.begin(), columns.end(), is) ==
+                 columns.begin() + static_cast<std::ptrdiff_t>(k);
+    };
+    if (first_of(Semantic::kColor)) return GeometryAttribute::COLOR;
+    if (first_of(Semantic::kUv)) return GeometryAttribute::TEX_COORD;
+    return GeometryAttribute::GENERIC;
+  }
+
+  void AddCarried(std::size_t k) {
+    const MeshAttribute& column = header_.carried[k];
+    constexpr draco::DataType kTypes[] = {
+        draco::DT_INT8,   draco::DT_UINT8, draco::DT_INT16,  draco::DT_UINT16,  draco::DT_INT32,
+        draco::DT_UINT32, draco::DT_INT64, draco::DT_UINT64, draco::DT_FLOAT32, draco::DT_FLOAT64};
+    GeometryAttribute description;
+    description.Init(TypeOf(k), nullptr, static_cast<std::int8_t>(column.components),
+                     kTypes[static_cast<std::size_t>(column.type)], column.normalized,
+                     static_cast<std::int64_t>(column.bytes()), 0);
+    const int id = cloud_.AddAttribute(description, true, 0);
+    auto metadata = std::make_unique<draco::AttributeMetadata>();
+    metadata->AddEntryString("name", column.name);
+    metadata->AddEntryString("column", ColumnJson(column));
+    if (!column.names.empty()) metadata->AddEntryString("names", NamesJson(column));
+    cloud_.AddAttributeMetadata(id, std::move(metadata));
+    columns_.push_back({[this, k, bytes = column.bytes()](const char* row, std::uint8_t* out) {
+                          std::memcpy(out, layout_.Carried(row, k), bytes);
+                        },
+                        column.bytes()});
+    if (wide_.size() <= k || !wide_[k]) return;
+    draco::Options options;
+    options.SetInt(kRawOption, 1);
+    options_.SetAttributeOptions(id, options);
   }
 
   void AddNormal() {
@@ -226,6 +277,7 @@ class CloudBuilder {
   const RowLayout layout_;
   const FloatGrid& grid_;
   const SampleHeader& header_;
+  const std::vector<bool> wide_;
   draco::PointCloud cloud_;
   draco::EncoderOptions options_ = draco::EncoderOptions::CreateDefaultOptions();
   std::vector<Column> columns_;  // By attribute id.
@@ -259,6 +311,44 @@ Result<void> CheckCells(const RowReader& rows, const SampleHeader& header,
                                           "; leave out the attribute 'cell'");
 }
 
+// Whether a carried column's integers are further apart than Draco's table for them should be long.
+Result<bool> IsWide(const RowReader& rows, const MeshAttribute& column, std::size_t k) {
+  if (column.type != ScalarType::kInt32 && column.type != ScalarType::kUint32) return false;
+  const bool is_signed = column.type == ScalarType::kInt32;
+  std::int64_t low = std::numeric_limits<std::int64_t>::max() / 2, high = -low;
+  auto read = rows.ForEach([&](const char* row) {
+    const char* value = rows.layout().Carried(row, k);
+    for (int c = 0; c < column.components; ++c, value += sizeof(std::uint32_t)) {
+      std::uint32_t bits;
+      std::memcpy(&bits, value, sizeof bits);
+      const std::int64_t number = is_signed ? static_cast<std::int32_t>(bits) : std::int64_t{bits};
+      low = std::min(low, number);
+      high = std::max(high, number);
+    }
+  });
+  if (!read) return Forward(read);
+  // Draco takes every integer for a signed one.
+  return high - low > kLargestPackedRange || high > std::numeric_limits<std::int32_t>::max();
+}
+
+Result<std::vector<bool>> FindWide(const RowReader& rows, const SampleHeader& header,
+                                   const std::string& name) {
+  std::vector<bool> wide;
+  for (std::size_t k = 0; k < header.carried.size(); ++k) {
+    const MeshAttribute& column = header.carried[k];
+    if (column.components > kMostDracoComponents) {
+      return Fail(ErrorCode::kOverBudget,
+                  name + ": '" + column.name + "' has " + std::to_string(column.components) +
+                      " components, Draco takes up to " + std::to_string(kMostDracoComponents) +
+                      "; use npz or ply");
+    }
+    const auto found = IsWide(rows, column, k);
+    if (!found) return Forward(found);
+    wide.push_back(*found);
+  }
+  return wide;
+}
+
 // The sum of `bytes` over the attributes in the set.
 std::uint64_t BytesOf(AttributeSet attributes,
                       const std::array<std::uint64_t, kAttributeNames.size()>& bytes) {
@@ -271,17 +361,26 @@ std::uint64_t BytesOf(AttributeSet attributes,
 
 // More than a sample ever takes in the buffer, what the entropy coder asks for at first included.
 std::uint64_t ReservedBytes(AttributeSet attributes) {
-  return 24 + BytesOf(attributes, {6, 24, 24, 24, 4});
+  return 24 + BytesOf(attributes, {6, 24, 24, 24, 4, 4});
+}
+
+std::uint64_t CarriedBytes(const SampleHeader& header) {
+  std::uint64_t bytes = 0;
+  for (const MeshAttribute& column : header.carried) bytes += column.bytes();
+  return bytes;
 }
 
 Result<std::vector<char>> Encode(const RowReader& rows, const FloatGrid& grid,
                                  const SampleHeader& header, const std::string& name) {
   if (auto checked = CheckCells(rows, header, name); !checked) return Forward(checked);
-  CloudBuilder builder(rows, grid, header);
+  auto wide = FindWide(rows, header, name);
+  if (!wide) return Forward(wide);
+  CloudBuilder builder(rows, grid, header, std::move(*wide));
   draco::EncoderBuffer buffer;
   // What is reserved and not touched takes no memory; a buffer that grows takes three times its
   // size while it moves.
-  buffer.buffer()->reserve(rows.count() * ReservedBytes(header.attributes) + (1 << 16));
+  buffer.buffer()->reserve(
+      rows.count() * (ReservedBytes(header.attributes) + 3 * CarriedBytes(header)) + (1 << 16));
   if (auto encoded = builder.Encode(buffer, name); !encoded) return Forward(encoded);
   const auto decodes = builder.DecodesFrom(buffer);
   if (!decodes) return Forward(decodes);
@@ -313,7 +412,19 @@ std::uint64_t DracoEncoderBytes(AttributeSet attributes, std::uint64_t count, in
   constexpr std::uint64_t kFixed = std::uint64_t{8} << 20, kPosition = 46;
   // The entropy estimate's table, an int for each value; cells have at most a bit more.
   const std::uint64_t table = std::uint64_t{8} << position_bits;
-  return kFixed + table + count * (kPosition + BytesOf(attributes, {4, 24, 16, 6, 4}));
+  return kFixed + table + count * (kPosition + BytesOf(attributes, {4, 24, 16, 6, 4, 4}));
+}
+
+std::uint64_t DracoEncoderBytes(const SampleHeader& header, std::uint64_t count,
+                                int position_bits) {
+  // What was written stays; the largest column is at hand as it is, as integers and as symbols.
+  std::uint64_t largest = 0;
+  for (const MeshAttribute& column : header.carried) {
+    const auto components = static_cast<std::uint64_t>(column.components);
+    largest = std::max(largest, column.bytes() + 8 * components);
+  }
+  return DracoEncoderBytes(header.attributes, count, position_bits) +
+         count * (CarriedBytes(header) + largest);
 }
 
 }  // namespace strata::io

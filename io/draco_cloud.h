@@ -14,6 +14,8 @@ namespace strata::io {
 /// What EncodeDracoCloud takes of memory for `count` samples on a grid of `position_bits`, at most:
 /// measured, and rounded up.
 std::uint64_t DracoEncoderBytes(AttributeSet attributes, std::uint64_t count, int position_bits);
+/// The same with the header's carried columns.
+std::uint64_t DracoEncoderBytes(const SampleHeader& header, std::uint64_t count, int position_bits);
 
 /// Encodes all of `rows`, in their order, to Draco bitstream 2.3 as docs/draco-output.md sets out.
 /// `grid` must hold every position (ChooseFloatGrid or TileGrid). Of the header it takes

@@ -65,7 +65,9 @@ class EncodersInTurn final : public draco::SequentialAttributeEncodersController
 
  protected:
   std::unique_ptr<draco::SequentialAttributeEncoder> CreateSequentialEncoder(int i) override {
-    auto inner = SequentialAttributeEncodersController::CreateSequentialEncoder(i);
+    const bool raw = encoder()->options()->GetAttributeInt(GetAttributeId(i), kRawOption, 0) != 0;
+    auto inner = raw ? std::make_unique<draco::SequentialAttributeEncoder>()
+                     : SequentialAttributeEncodersController::CreateSequentialEncoder(i);
     if (inner == nullptr) return nullptr;
     return std::make_unique<EncoderInTurn>(std::move(inner), cloud_, fill_);
   }

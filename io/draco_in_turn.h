@@ -20,6 +20,10 @@ namespace strata::io {
 /// Returns false to give up.
 using FillAttribute = std::function<bool(int id, draco::PointAttribute& attribute)>;
 
+/// An attribute for which this option is 1 is stored byte by byte, as Draco does with doubles: for
+/// integers so far apart that its entropy coder would need a table for them.
+inline constexpr const char* kRawOption = "strata_raw";
+
 /// Encodes a cloud whose attributes have no storage yet: each gets it when its turn comes and loses
 /// it afterwards. Draco's own way transforms all attributes before it encodes the first.
 draco::Status EncodeInTurn(draco::PointCloud& cloud,

@@ -14,7 +14,7 @@ namespace strata::io {
 namespace {
 
 std::uint64_t EncoderBytes(const SampleHeader& header, const FloatGrid& grid) {
-  return DracoEncoderBytes(header.attributes, header.count, grid.bits);
+  return DracoEncoderBytes(header, header.count, grid.bits);
 }
 
 class DracoWriter final : public FileWriter {

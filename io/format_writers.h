@@ -20,9 +20,18 @@ Result<std::unique_ptr<SampleWriter>> MakePlyWriter(std::unique_ptr<AtomicFile> 
 /// Text, one sample a line; docs/sample-formats.md. Streams: O(1) memory.
 Result<std::unique_ptr<SampleWriter>> MakeXyzWriter(std::unique_ptr<AtomicFile> file,
                                                     const SampleHeader& header);
+/// The same without the lines that begin with #: a line of names, then numbers with commas between.
+/// What is not a number is "nan", "inf" or "-inf". Streams: O(1) memory.
+Result<std::unique_ptr<SampleWriter>> MakeCsvWriter(std::unique_ptr<AtomicFile> file,
+                                                    const SampleHeader& header);
 /// NumPy's zip of arrays; docs/sample-formats.md. Memory: 2 MiB with scratch space; the samples,
 /// until Finish, without. Nothing is written before Finish.
 Result<std::unique_ptr<SampleWriter>> MakeNpzWriter(std::unique_ptr<AtomicFile> file,
+                                                    const SampleHeader& header,
+                                                    const WriterResources& resources);
+/// A binary glTF of points; docs/sample-formats.md. Memory and disk: as NPZ. kOverBudget beyond 4
+/// GiB.
+Result<std::unique_ptr<SampleWriter>> MakeGlbWriter(std::unique_ptr<AtomicFile> file,
                                                     const SampleHeader& header,
                                                     const WriterResources& resources);
 /// One Draco point cloud; docs/draco-output.md. No decoded position is further than

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "io/carried_columns.h"
 #include "io/checked_writer.h"
 #include "io/format_writers.h"
 #include "io/spool.h"
@@ -103,16 +104,38 @@ std::string_view BytesOf(const std::vector<T>& column) {
 // What an array is called, its type, the numbers of a sample in it, and their bytes.
 struct ArrayKind {
   AttributeSet attribute;  // 0: always there.
-  const char* name;
+  std::string name;
   const char* type;
   int components;
   std::uint64_t sample_bytes;
+  std::size_t carried = 0;  // Which carried column, if attribute is kCarried.
 };
-constexpr ArrayKind kArrays[] = {
-    {0, "position", "<f8", 3, 24},        {kNormal, "normal", "<f4", 3, 12},
-    {kTriangle, "triangle", "<u8", 1, 8}, {kBarycentric, "barycentric", "<f8", 3, 24},
-    {kCell, "cell", "<i4", 3, 12},        {kArea, "area", "<f8", 1, 8},
-};
+constexpr AttributeSet kCarried = ~kAllAttributes;
+
+const char* TypeOf(ScalarType type) {
+  constexpr const char* kTypes[] = {"|i1", "|u1", "<i2", "<u2", "<i4",
+                                    "<u4", "<i8", "<u8", "<f4", "<f8"};
+  return kTypes[static_cast<std::size_t>(type)];
+}
+
+// All arrays of the header's samples.
+std::vector<ArrayKind> ArraysOf(const SampleHeader& header) {
+  std::vector<ArrayKind> arrays = {
+      {0, "position", "<f8", 3, 24},        {kNormal, "normal", "<f4", 3, 12},
+      {kTriangle, "triangle", "<u8", 1, 8}, {kBarycentric, "barycentric", "<f8", 3, 24},
+      {kCell, "cell", "<i4", 3, 12},        {kArea, "area", "<f8", 1, 8},
+      {kWeight, "weight", "<f8", 1, 8},
+  };
+  std::erase_if(arrays, [&](const ArrayKind& kind) {
+    return kind.attribute != 0 && (header.attributes & kind.attribute) == 0;
+  });
+  for (std::size_t k = 0; k < header.carried.size(); ++k) {
+    const MeshAttribute& column = header.carried[k];
+    arrays.push_back(
+        {kCarried, column.name, TypeOf(column.type), column.components, column.bytes(), k});
+  }
+  return arrays;
+}
 
 // Whole columns stand one after the other in the zip, so each waits in a spool of its own.
 class NpzWriter final : public FileWriter {
@@ -121,8 +144,7 @@ class NpzWriter final : public FileWriter {
       : FileWriter(std::move(file), header), context_(context) {}
 
   Result<void> OpenSpools(const WriterResources& resources) {
-    for (const ArrayKind& kind : kArrays) {
-      if (kind.attribute != 0 && (header().attributes & kind.attribute) == 0) continue;
+    for (const ArrayKind& kind : ArraysOf(header())) {
       if (header().count > kMostBytes / kind.sample_bytes) {
         return Fail(ErrorCode::kOverBudget, name() + ": " + std::to_string(header().count) +
                                                 " samples are more than a file can hold");
@@ -131,7 +153,7 @@ class NpzWriter final : public FileWriter {
           Spool::Open(resources.scratch, resources.memory, header().count * kind.sample_bytes,
                       name() + ": the column '" + kind.name + "'");
       if (!spool) return Forward(spool);
-      arrays_.push_back({&kind, std::move(*spool)});
+      arrays_.push_back({kind, std::move(*spool)});
     }
     return {};
   }
@@ -139,7 +161,7 @@ class NpzWriter final : public FileWriter {
  protected:
   Result<void> Append(const SampleColumns& columns) override {
     for (const Array& array : arrays_) {
-      if (auto added = array.spool->Append(BytesIn(columns, *array.kind)); !added) return added;
+      if (auto added = array.spool->Append(BytesIn(columns, array.kind)); !added) return added;
     }
     return {};
   }
@@ -147,7 +169,13 @@ class NpzWriter final : public FileWriter {
   Result<std::uint64_t> Complete() override try {
     NpzArchive zip(file(), context_);
     auto done = zip.Open();
-    if (done) done = AddProvenance(zip);
+    if (done) done = AddText(zip, "provenance", header().provenance);
+    if (done && !header().carried.empty()) {
+      done = AddText(zip, "columns", ColumnsJson(header().carried));
+    }
+    for (const MeshAttribute& column : header().carried) {
+      if (done && !column.names.empty()) done = AddNames(zip, column);
+    }
     for (Array& array : arrays_) {
       if (done) done = AddArray(zip, array);
     }
@@ -163,7 +191,7 @@ class NpzWriter final : public FileWriter {
   static constexpr std::uint64_t kMostBytes = std::numeric_limits<std::int64_t>::max() / 8;
 
   struct Array {
-    const ArrayKind* kind;
+    ArrayKind kind;
     std::unique_ptr<Spool> spool;  // Null once it is in the zip.
   };
 
@@ -179,21 +207,44 @@ class NpzWriter final : public FileWriter {
         return BytesOf(columns.cell);
       case kArea:
         return BytesOf(columns.area);
+      case kWeight:
+        return BytesOf(columns.weight);
+      case kCarried:
+        return BytesOf(columns.carried[kind.carried]);
       default:
         return BytesOf(columns.position);
     }
   }
 
-  Result<void> AddProvenance(NpzArchive& zip) {
-    std::u32string text = DecodeUtf8(header().provenance);
-    const std::string type = "<U" + std::to_string(text.size());
-    return zip.Add("provenance", NpyHeader(type, ""),
-                   std::span<const char>(reinterpret_cast<const char*>(text.data()),
-                                         text.size() * sizeof(char32_t)));
+  // An array without dimensions.
+  static Result<void> AddText(NpzArchive& zip, const std::string& name, const std::string& utf8) {
+    return AddPoints(zip, name, DecodeUtf8(utf8), "", 1);
+  }
+  // `<column>_names`: samples[column_names][samples[column]] is what a sample's number is called.
+  static Result<void> AddNames(NpzArchive& zip, const MeshAttribute& column) {
+    std::size_t longest = 1;
+    for (const std::string& name : column.names) {
+      longest = std::max(longest, DecodeUtf8(name).size());
+    }
+    std::u32string points;
+    for (std::size_t k = 0; k < column.names.size(); ++k) {
+      points += DecodeUtf8(column.names[k]);
+      points.resize((k + 1) * longest, U'\0');
+    }
+    return AddPoints(zip, column.name + "_names", points, std::to_string(column.names.size()) + ",",
+                     column.names.size());
+  }
+  static Result<void> AddPoints(NpzArchive& zip, const std::string& name,
+                                const std::u32string& points, const std::string& shape,
+                                std::size_t items) {
+    const std::string type = "<U" + std::to_string(points.size() / items);
+    return zip.Add(name, NpyHeader(type, shape),
+                   std::span<const char>(reinterpret_cast<const char*>(points.data()),
+                                         points.size() * sizeof(char32_t)));
   }
 
   Result<void> AddArray(NpzArchive& zip, Array& array) {
-    const ArrayKind& kind = *array.kind;
+    const ArrayKind& kind = array.kind;
     std::string shape = std::to_string(header().count) + ",";
     if (kind.components > 1) shape += " " + std::to_string(kind.components);
     auto added = zip.Add(kind.name, NpyHeader(kind.type, shape), *array.spool);

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <new>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -10,6 +11,7 @@
 #include "io/decimal.h"
 #include "io/face_assembler.h"
 #include "io/index_token.h"
+#include "io/obj_attributes.h"
 #include "io/obj_materials.h"
 #include "io/quote.h"
 #include "io/text_scanner.h"
@@ -18,19 +20,7 @@
 namespace strata::io {
 namespace {
 
-enum class Statement : std::uint8_t { kOther, kVertex, kFace };
-
-// What the line says; `rest` becomes what follows the keyword. Most lines start with it.
-Statement Classify(std::string_view line, const char*& rest) {
-  const char* const last = line.data() + line.size();
-  const char* p = SkipBlanks(line.data(), last);
-  if (p == last || (*p != 'v' && *p != 'f')) return Statement::kOther;
-  const bool vertex = *p++ == 'v';
-  if (!vertex && p < last && *p == 'o') ++p;
-  rest = p;
-  if (p < last && !IsBlank(*p)) return Statement::kOther;
-  return vertex ? Statement::kVertex : Statement::kFace;
-}
+using Statement = ObjStatement::Kind;
 
 class ObjReader : public MeshReader {
  public:
@@ -38,12 +28,14 @@ class ObjReader : public MeshReader {
       : source_(std::move(source)),
         info_{"obj", "ascii", source_->compression()},
         options_(options),
+        max_line_bytes_(options.max_line_bytes),
         text_(*source_, options.max_line_bytes),
         vertices_(*source_, options) {}
 
   // The first pass.
   Result<void> Load() {
     while (NextStatement()) {
+      contents_.Note({statement_, rest_view_});
       if (statement_ == Statement::kFace) NoteFace();
       if (statement_ == Statement::kVertex && !ParseVertex()) return LoadFailure();
       if (statement_ == Statement::kOther) NoteLibrary();
@@ -53,6 +45,7 @@ class ObjReader : public MeshReader {
     faces_.SetVertices(vertices_);
     if (auto ok = materials_.Load(source_->name(), options_); !ok) return ok;
     materials_.Describe(info_.contents);
+    attributes_ = contents_.Attributes();
     return Rewind();
   }
 
@@ -69,6 +62,20 @@ class ObjReader : public MeshReader {
     return ReadBatch(
         faces_, batch, [this](FaceAssembler& faces) { return Fill(faces); },
         [this](FarVertices& far) { return LookAhead(far); });
+  }
+
+  std::span<const MeshAttribute> attributes() const override { return attributes_; }
+  Result<std::unique_ptr<AttributePass>> ReadAttributes(std::span<const std::size_t> numbers,
+                                                        RunContext& context) override {
+    std::vector<MeshAttribute> wanted;
+    for (const std::size_t n : numbers) wanted.push_back(attributes_[n]);
+    text_.Forget();
+    try {
+      return OpenObjAttributes(*source_, max_line_bytes_, contents_, wanted, context);
+    } catch (const std::bad_alloc&) {
+      return Fail(ErrorCode::kOverBudget,
+                  source_->name() + ": the vertices' attributes do not fit into memory");
+    }
   }
 
   Result<void> Rewind() override {
@@ -115,7 +122,10 @@ class ObjReader : public MeshReader {
   bool NextStatement() {
     if (!text_.Next()) return false;
     if (!text_.JoinContinuations()) return false;
-    statement_ = Classify(text_.line(), rest_);
+    const ObjStatement statement = ClassifyObj(text_.line());
+    statement_ = statement.kind;
+    rest_view_ = statement.rest;
+    rest_ = rest_view_.data();
     return true;
   }
 
@@ -196,13 +206,17 @@ class ObjReader : public MeshReader {
   MeshInfo info_;
   const OpenOptions options_;
   ObjMaterials materials_;
+  const std::size_t max_line_bytes_;
   TextScanner text_;
   VertexStore vertices_;
   FaceAssembler faces_;
   Extent extent_;
   std::uint64_t vertices_before_ = 0;  // Vertices before the line, in the second pass.
   Statement statement_ = Statement::kOther;
-  const char* rest_ = nullptr;  // The line behind the keyword.
+  std::string_view rest_view_;  // The line behind the keyword, …
+  const char* rest_ = nullptr;  // … and where that begins.
+  ObjContents contents_;
+  std::vector<MeshAttribute> attributes_;
   std::vector<std::int64_t> corners_;
 };
 

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <new>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -11,6 +12,7 @@
 #include "io/decimal.h"
 #include "io/face_assembler.h"
 #include "io/index_token.h"
+#include "io/off_attributes.h"
 #include "io/quote.h"
 #include "io/text_scanner.h"
 #include "io/vertex_store.h"
@@ -22,22 +24,22 @@ constexpr std::int64_t kMaxCount = std::int64_t{1} << 62;
 
 // What an OFF keyword's prefixes say that matters here.
 struct Keyword {
-  std::size_t length = 0;  // Of the keyword in the text.
-  bool four = false;       // Vertices have a fourth, homogeneous coordinate.
-  bool n = false;          // Vertices have as many coordinates as the header says.
+  std::size_t length = 0;                          // Of the keyword in the text.
+  bool st = false, color = false, normal = false;  // What vertices carry.
+  bool four = false;  // Vertices have a fourth, homogeneous coordinate.
+  bool n = false;     // Vertices have as many coordinates as the header says.
 };
 
 // The keyword at the start of `text`, its prefixes in any order and each at most once.
 std::optional<Keyword> ParseKeyword(std::string_view text) {
   Keyword keyword;
-  bool st = false, c = false, normal = false;
   const auto take = [&](std::string_view prefix, bool& seen) {
     if (seen || text.substr(keyword.length, prefix.size()) != prefix) return false;
     keyword.length += prefix.size();
     return seen = true;
   };
-  while (take("ST", st) || take("C", c) || take("N", normal) || take("4", keyword.four) ||
-         take("n", keyword.n)) {
+  while (take("ST", keyword.st) || take("C", keyword.color) || take("N", keyword.normal) ||
+         take("4", keyword.four) || take("n", keyword.n)) {
   }
   if (text.substr(keyword.length, 3) != "OFF") return std::nullopt;
   keyword.length += 3;
@@ -49,17 +51,25 @@ class OffReader : public MeshReader {
   OffReader(std::unique_ptr<ByteSource> source, const OpenOptions& options)
       : source_(std::move(source)),
         info_{"off", "ascii", source_->compression()},
+        max_line_bytes_(options.max_line_bytes),
         text_(*source_, options.max_line_bytes),
         vertices_(*source_, options) {}
 
   // Everything before the faces.
   Result<void> Load() {
     if (!ParseHeader()) return text_.failure();
+    places_.vertices_offset = text_.next_offset();
+    places_.vertices_line = text_.next_line_number();
     for (std::int64_t i = 0; i < vertex_count_; ++i) {
       if (!ParseVertex(i)) return vertices_.failed() ? vertices_.failure() : text_.failure();
     }
     faces_offset_ = text_.next_offset();
     faces_line_ = text_.next_line_number();
+    places_.vertices = vertex_count_;
+    places_.faces = face_count_;
+    places_.faces_offset = faces_offset_;
+    places_.faces_line = faces_line_;
+    attributes_ = layout_.Attributes();
     if (auto ok = vertices_.Finish(); !ok) return ok;
     faces_.SetVertices(vertices_);
     return {};
@@ -78,6 +88,20 @@ class OffReader : public MeshReader {
     return ReadBatch(
         faces_, batch, [this](FaceAssembler& faces) { return Fill(faces); },
         [this](FarVertices& far) { return LookAhead(far); });
+  }
+
+  std::span<const MeshAttribute> attributes() const override { return attributes_; }
+  Result<std::unique_ptr<AttributePass>> ReadAttributes(std::span<const std::size_t> numbers,
+                                                        RunContext& context) override {
+    std::vector<MeshAttribute> wanted;
+    for (const std::size_t n : numbers) wanted.push_back(attributes_[n]);
+    text_.Forget();
+    try {
+      return OpenOffAttributes(*source_, max_line_bytes_, layout_, places_, wanted, context);
+    } catch (const std::bad_alloc&) {
+      return Fail(ErrorCode::kOverBudget,
+                  source_->name() + ": the vertices' attributes do not fit into memory");
+    }
   }
 
   Result<void> Rewind() override {
@@ -157,6 +181,7 @@ class OffReader : public MeshReader {
     const std::string_view rest(p_, static_cast<std::size_t>(last_ - p_));
     const std::optional<Keyword> keyword = ParseKeyword(rest);
     if (keyword) {
+      keyword_ = *keyword;
       p_ += keyword->length;
       const std::string found(rest.substr(0, keyword->length));
       if (keyword->four || keyword->n) return RejectKind(found);
@@ -201,6 +226,10 @@ class OffReader : public MeshReader {
       }
       p_ = end;
     }
+    if (i == 0) {
+      layout_ = OffLayout::Of(keyword_.normal, keyword_.color, keyword_.st,
+                              {p_, static_cast<std::size_t>(last_ - p_)});
+    }
     return vertices_.Append(xyz[0], xyz[1], xyz[2]);
   }
 
@@ -244,12 +273,17 @@ class OffReader : public MeshReader {
 
   std::unique_ptr<ByteSource> source_;
   MeshInfo info_;
+  const std::size_t max_line_bytes_;
   TextScanner text_;
   VertexStore vertices_;
   FaceAssembler faces_;
   std::int64_t vertex_count_ = 0, face_count_ = 0, faces_read_ = 0;
   std::uint64_t faces_offset_ = 0, faces_line_ = 1;
   bool ended_ = false;
+  Keyword keyword_;
+  OffLayout layout_;
+  OffPlaces places_;
+  std::vector<MeshAttribute> attributes_;
   const char* p_ = nullptr;  // What is left of the line.
   const char* last_ = nullptr;
   std::vector<std::int64_t> corners_;

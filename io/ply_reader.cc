@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <new>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "io/ply_attributes.h"
 #include "io/ply_rows.h"
 
 namespace strata::io {
@@ -30,7 +32,8 @@ class PlyReader : public MeshReader {
     const bool ascii = header_.encoding == PlyEncoding::kAscii;
     rows_ = ascii ? AsciiPlyRows(input_, header_) : BinaryPlyRows(input_, header_);
     if (auto ok = FindSurfaces(); !ok) return ok;
-    return ReadVertices();
+    if (auto ok = ReadVertices(); !ok) return ok;
+    return FindAttributes();
   }
 
   const MeshInfo& info() const override { return info_; }
@@ -57,6 +60,20 @@ class PlyReader : public MeshReader {
           [this](FarVertices& far) { return LookAhead(far); });
     } catch (const std::bad_alloc&) {
       return Fail(ErrorCode::kOverBudget, source_->name() + ": a face does not fit into memory");
+    }
+  }
+
+  std::span<const MeshAttribute> attributes() const override { return attributes_; }
+  Result<std::unique_ptr<AttributePass>> ReadAttributes(std::span<const std::size_t> numbers,
+                                                        RunContext& context) override {
+    std::vector<const PlyAttribute*> wanted;
+    for (const std::size_t n : numbers) wanted.push_back(&carried_[n]);
+    input_.Forget();
+    try {
+      return OpenPlyAttributes(*source_, header_, places_, wanted, context);
+    } catch (const std::bad_alloc&) {
+      return Fail(ErrorCode::kOverBudget,
+                  source_->name() + ": the vertices' attributes do not fit into memory");
     }
   }
 
@@ -155,6 +172,7 @@ class PlyReader : public MeshReader {
       if (auto ok = rows_->Skip(header_.elements[e]); !ok) return ok;
     }
     if (e < header_.elements.size() && header_.elements[e].name == "vertex") {
+      places_.vertices_mark = rows_->mark();
       if (auto ok = LoadVertices(header_.elements[e]); !ok) return ok;
       vertex_element_ = e;
       after_vertices_ = rows_->mark();
@@ -170,6 +188,19 @@ class PlyReader : public MeshReader {
       first_mark_ = rows_->mark();
     }
     first_ = element_ = *first;
+    return rows_->Seek(first_mark_);
+  }
+
+  Result<void> FindAttributes() {
+    places_.faces = first_;
+    places_.faces_mark = first_mark_;
+    places_.vertices = vertex_element_;
+    auto found = FindPlyAttributes(*source_, header_, places_);
+    if (!found) return Forward(found);
+    carried_ = std::move(*found);
+    for (const PlyAttribute& attribute : carried_) attributes_.push_back(attribute.what);
+    if (!LooksAtRows(header_, places_)) return {};
+    input_.Forget();
     return rows_->Seek(first_mark_);
   }
 
@@ -246,6 +277,9 @@ class PlyReader : public MeshReader {
   std::unique_ptr<PlyRows> rows_;
   VertexStore vertices_;
   FaceAssembler faces_;
+  PlyPlaces places_;
+  std::vector<PlyAttribute> carried_;
+  std::vector<MeshAttribute> attributes_;  // Of each, what it is.
 
   std::optional<std::size_t> vertex_element_;
   PlyMark after_vertices_;

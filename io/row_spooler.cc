@@ -11,7 +11,7 @@ constexpr std::size_t kPortionBytes = std::size_t{1} << 16;
 }  // namespace
 
 Result<std::uint64_t> SpoolBytes(const SampleHeader& header, const std::string& name) {
-  const std::uint64_t row = RowLayout(header.attributes).bytes();
+  const std::uint64_t row = RowLayout(header).bytes();
   if (header.count <= std::numeric_limits<std::int64_t>::max() / row) return header.count * row;
   return Fail(ErrorCode::kOverBudget, name + ": " + std::to_string(header.count) +
                                           " samples are more than a file can hold");
@@ -23,7 +23,7 @@ Result<RowSpooler> RowSpooler::Open(const SampleHeader& header, const WriterReso
   if (!bytes) return Forward(bytes);
   auto spool = Spool::Open(resources.scratch, resources.memory, *bytes, name + ": the samples");
   if (!spool) return Forward(spool);
-  return RowSpooler(RowLayout(header.attributes), std::move(*spool));
+  return RowSpooler(RowLayout(header), std::move(*spool));
 }
 
 Result<void> RowSpooler::Append(const SampleColumns& columns) {

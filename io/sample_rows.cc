@@ -6,15 +6,19 @@ namespace strata::io {
 namespace {
 
 constexpr std::array<std::size_t, kAttributeNames.size()> kBytes = {
-    sizeof(Vec3f), sizeof(std::uint64_t), sizeof(std::array<double, 3>), sizeof(Cell),
-    sizeof(double)};
+    sizeof(Vec3f), sizeof(std::uint64_t), sizeof(std::array<double, 3>),
+    sizeof(Cell),  sizeof(double),        sizeof(double)};
 
 }  // namespace
 
-RowLayout::RowLayout(AttributeSet attributes) : attributes_(attributes) {
+RowLayout::RowLayout(const SampleHeader& header) : attributes_(header.attributes) {
   for (std::size_t k = 0; k < kBytes.size(); ++k) {
     at_[k] = bytes_;
-    if ((attributes >> k & 1) != 0) bytes_ += kBytes[k];
+    if ((attributes_ >> k & 1) != 0) bytes_ += kBytes[k];
+  }
+  for (const MeshAttribute& column : header.carried) {
+    carried_.push_back({bytes_, column.bytes()});
+    bytes_ += column.bytes();
   }
 }
 
@@ -33,6 +37,11 @@ void RowLayout::Pack(const SampleColumns& columns, std::size_t i, char* out) con
   put(kBarycentric, columns.barycentric);
   put(kCell, columns.cell);
   put(kArea, columns.area);
+  put(kWeight, columns.weight);
+  for (std::size_t k = 0; k < carried_.size(); ++k) {
+    const auto& [at, bytes] = carried_[k];
+    std::memcpy(out + at, columns.carried[k].data() + i * bytes, bytes);
+  }
 }
 
 }  // namespace strata::io

@@ -17,7 +17,8 @@ namespace strata::io {
 /// Where each attribute lies in a row: bytes from its front. Absent ones are not set aside for.
 class RowLayout {
  public:
-  explicit RowLayout(AttributeSet attributes);
+  /// For the header's fixed attributes and carried columns.
+  explicit RowLayout(const SampleHeader& header);
 
   std::size_t bytes() const { return bytes_; }
   /// Sample `i` of `columns`, to the row at `out`.
@@ -31,6 +32,9 @@ class RowLayout {
   }
   Cell CellOf(const char* row) const { return Get<Cell>(row, At(kCell)); }
   double Area(const char* row) const { return Get<double>(row, At(kArea)); }
+  double Weight(const char* row) const { return Get<double>(row, At(kWeight)); }
+  /// The value in carried column `k`: its bytes.
+  const char* Carried(const char* row, std::size_t k) const { return row + carried_[k].at; }
 
  private:
   std::size_t At(Attribute attribute) const;
@@ -42,7 +46,11 @@ class RowLayout {
   }
 
   AttributeSet attributes_;
+  struct Column {
+    std::size_t at, bytes;
+  };
   std::array<std::size_t, kAttributeNames.size()> at_{};
+  std::vector<Column> carried_;
   std::size_t bytes_ = sizeof(Vec3);
 };
 

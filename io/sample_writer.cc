@@ -11,11 +11,13 @@
 namespace strata::io {
 namespace {
 
-constexpr std::array<std::pair<std::string_view, SampleFormat>, 4> kFormats = {
+constexpr std::array<std::pair<std::string_view, SampleFormat>, 6> kFormats = {
     {{"drc", SampleFormat::kDraco},
      {"ply", SampleFormat::kPly},
      {"xyz", SampleFormat::kXyz},
-     {"npz", SampleFormat::kNpz}}};
+     {"npz", SampleFormat::kNpz},
+     {"csv", SampleFormat::kCsv},
+     {"glb", SampleFormat::kGlb}}};
 
 Result<void> CheckHeader(const std::string& path, const SampleHeader& header) {
   const auto fail = [&](ErrorCode code, const char* what) {
@@ -24,6 +26,10 @@ Result<void> CheckHeader(const std::string& path, const SampleHeader& header) {
   if (header.count == 0) return fail(ErrorCode::kEmptySurface, "there is no sample to write");
   if ((header.attributes & ~kAllAttributes) != 0) {
     return fail(ErrorCode::kInvalidArgument, "unknown attributes were asked for");
+  }
+  for (const MeshAttribute& column : header.carried) {
+    if (column.components >= 1 && column.components <= kMostComponents) continue;
+    return fail(ErrorCode::kInternal, "a carried column has no or too many components");
   }
   if (header.provenance.find_first_of(std::string_view("\r\n\0", 3)) != std::string::npos) {
     return fail(ErrorCode::kInternal, "the provenance is not one line");
@@ -69,6 +75,10 @@ Result<std::unique_ptr<SampleWriter>> OpenSampleWriter(const std::string& path, 
       return MakePlyWriter(std::move(*file), header);
     case SampleFormat::kXyz:
       return MakeXyzWriter(std::move(*file), header);
+    case SampleFormat::kCsv:
+      return MakeCsvWriter(std::move(*file), header);
+    case SampleFormat::kGlb:
+      return MakeGlbWriter(std::move(*file), header, resources);
     case SampleFormat::kNpz:
       return MakeNpzWriter(std::move(*file), header, resources);
   }

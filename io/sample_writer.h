@@ -18,9 +18,9 @@ namespace strata::io {
 inline constexpr std::uint64_t kMostTileSamples = 0x7FFF'FFFF / 4;
 inline constexpr std::uint64_t kDefaultTileSamples = 4'000'000;
 
-enum class SampleFormat { kDraco, kPly, kXyz, kNpz };
+enum class SampleFormat { kDraco, kPly, kXyz, kNpz, kCsv, kGlb };
 
-/// "drc", "ply", "xyz" or "npz".
+/// "drc", "ply", "xyz", "npz", "csv" or "glb".
 std::optional<SampleFormat> SampleFormatFromName(std::string_view name);
 /// From the suffix of `path`, case ignored.
 std::optional<SampleFormat> SampleFormatFromPath(std::string_view path);
@@ -43,10 +43,10 @@ struct WriterResources {
 };
 
 /// Opens `path` for writing ("-" is standard output). The output appears under its name, whole,
-/// when Finish returns; until then a temporary file in the same folder holds it. PLY and XYZ stream
-/// in O(1) memory; NPZ and Draco need the resources.
-/// Errors: kEmptySurface, kInvalidArgument, kIo; kOverBudget when the format or the memory cannot
-/// hold header.count samples.
+/// when Finish returns; until then a temporary file in the same folder holds it. PLY, XYZ and CSV
+/// stream in O(1) memory; NPZ, GLB and Draco need the resources. Errors: kEmptySurface,
+/// kInvalidArgument, kIo; kOverBudget when the format or the memory cannot hold header.count
+/// samples.
 Result<std::unique_ptr<SampleWriter>> OpenSampleWriter(const std::string& path, SampleFormat format,
                                                        const SampleHeader& header,
                                                        const WriterResources& resources = {});

@@ -5,11 +5,14 @@
 #include <cmath>
 #include <cstring>
 #include <new>
+#include <span>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "io/ascii_cursor.h"
 #include "io/byte_cursor.h"
+#include "io/stl_attributes.h"
 
 namespace strata::io {
 namespace {
@@ -74,6 +77,8 @@ class BinaryStlReader : public StlReader {
   Result<void> Open() {
     if (!cursor_.Have(kDataOffset)) return cursor_.failure();
     facets_ = LoadCount(cursor_.data());
+    colors_ = StlColors::Of({cursor_.data(), cursor_.available()});
+    attributes_ = colors_.Attributes();
     cursor_.Advance(kDataOffset);
     const auto size = source_->size();
     if (const std::uint64_t need = kDataOffset + std::uint64_t{facets_} * kFacetBytes;
@@ -105,6 +110,15 @@ class BinaryStlReader : public StlReader {
     return batch.size();
   }
 
+  std::span<const MeshAttribute> attributes() const override { return attributes_; }
+  Result<std::unique_ptr<AttributePass>> ReadAttributes(std::span<const std::size_t> numbers,
+                                                        RunContext& context) override {
+    std::vector<MeshAttribute> wanted;
+    for (const std::size_t n : numbers) wanted.push_back(attributes_[n]);
+    input_.Forget();
+    return OpenStlAttributes(*source_, colors_, wanted, context);
+  }
+
   // Of a file of known size Open has seen that all facets are there, each in its place.
   bool SelectShare(const Share& share) override {
     const bool can = share.whole() || (source_->compression() == "none" && source_->size());
@@ -134,6 +148,8 @@ class BinaryStlReader : public StlReader {
 
   ByteCursor cursor_;
   std::uint32_t facets_ = 0;
+  StlColors colors_;
+  std::vector<MeshAttribute> attributes_;
   Share share_;
   std::uint64_t next_ = 0, run_end_ = 0;  // The next facet, and one past the last of its run.
 };

@@ -45,6 +45,9 @@ class TextScanner {
   /// Goes to `offset`, where line `line_number` starts.
   Result<void> Seek(std::uint64_t offset, std::uint64_t line_number);
 
+  /// Somebody else moved the source. Only Seek may follow.
+  void Forget() { input_.Forget(); }
+
   bool failed() const { return failed_; }
   /// Precondition: failed().
   tl::unexpected<Error> failure() const { return tl::unexpected<Error>(failure_); }

@@ -53,7 +53,7 @@ std::uint64_t EncoderBytes(const SampleHeader& header, std::uint64_t samples) {
   const double steps = 2 * extent / LargestGridStep(box, header.position_error);
   int bits = 1;
   while (bits < FloatGrid::kMaxBits && std::ldexp(1.0, bits) < steps + 4) ++bits;
-  return DracoEncoderBytes(header.attributes, samples, bits);
+  return DracoEncoderBytes(header, samples, bits);
 }
 
 OctreePlan PlanFor(const SampleHeader& header, std::uint64_t tile_samples) {

@@ -41,6 +41,7 @@ std::string TilesetHead(const SampleHeader& header, std::uint64_t tile_samples, 
   for (std::size_t k = 0; k < kAttributeNames.size(); ++k) {
     if ((header.attributes >> k & 1) != 0) names.push_back(kAttributeNames[k]);
   }
+  for (const MeshAttribute& column : header.carried) names.push_back(column.name);
   const Json head = {
       {"format", "strata-tiles"},
       {"version", kVersion},

@@ -2,11 +2,13 @@
 target_sources(strata_io PRIVATE
   ${CMAKE_CURRENT_LIST_DIR}/atomic_file.cc
   ${CMAKE_CURRENT_LIST_DIR}/atomic_folder.cc
+  ${CMAKE_CURRENT_LIST_DIR}/carried_columns.cc
   ${CMAKE_CURRENT_LIST_DIR}/checked_writer.cc
   ${CMAKE_CURRENT_LIST_DIR}/draco_cloud.cc
   ${CMAKE_CURRENT_LIST_DIR}/draco_in_turn.cc
   ${CMAKE_CURRENT_LIST_DIR}/draco_writer.cc
   ${CMAKE_CURRENT_LIST_DIR}/float_grid.cc
+  ${CMAKE_CURRENT_LIST_DIR}/glb_writer.cc
   ${CMAKE_CURRENT_LIST_DIR}/npz_writer.cc
   ${CMAKE_CURRENT_LIST_DIR}/output_place.cc
   ${CMAKE_CURRENT_LIST_DIR}/picture.cc

@@ -4,6 +4,7 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <algorithm>
+#include <cctype>
 #include <charconv>
 #include <cmath>
 #include <memory>
@@ -227,8 +228,8 @@ class Converter {
       into = *std::move(value);
     }
   }
-  void Require(bool holds, const char* message) {
-    if (outcome_ && !holds) outcome_ = Refuse(message);
+  void Require(bool holds, std::string message) {
+    if (outcome_ && !holds) outcome_ = Refuse(std::move(message));
   }
   const Result<void>& outcome() const { return outcome_; }
 
@@ -253,14 +254,15 @@ Result<Integrator> ParseIntegrator(std::string_view name) {
 Result<io::SampleFormat> ParseFormat(std::string_view name) {
   if (const auto format = io::SampleFormatFromName(name)) return *format;
   return Refuse("--format: found '" + std::string(name) +
-                "', expected drc, ply, xyz or npz (default: from OUTPUT's suffix)");
+                "', expected drc, ply, xyz, npz, csv or glb (default: from OUTPUT's suffix)");
 }
 
 Result<io::SampleFormat> FormatOfOutput(const std::string& output) {
   if (output == "-") return Refuse("--format is needed when OUTPUT is standard output");
   if (const auto format = io::SampleFormatFromPath(output)) return *format;
-  return Refuse("-o: found '" + output +
-                "', expected a name that ends in .drc, .ply, .xyz or .npz, or --format");
+  return Refuse(
+      "-o: found '" + output +
+      "', expected a name that ends in .drc, .ply, .xyz, .npz, .csv or .glb, or --format");
 }
 
 void ConvertWhere(const RawSample& raw, Converter& convert, LatticeSpec& lattice) {
@@ -306,6 +308,21 @@ void ConvertHow(const RawSample& raw, Converter& convert, SampleOptions& options
   options.strict = raw.strict;
 }
 
+// As FixNames leaves them: anything else cannot be there.
+bool IsAttributeName(std::string_view name) {
+  const auto plain = [](unsigned char c) {
+    return std::isalnum(c) != 0 || c == '_' || c == '.' || c == '-';
+  };
+  return !name.empty() && name != "none" && std::ranges::all_of(name, plain);
+}
+
+Result<bool> ParseNormals(std::string_view name) {
+  if (name == "vertex") return true;
+  if (name == "face") return false;
+  return Refuse("--normals: found '" + std::string(name) +
+                "', expected vertex or face (default face)");
+}
+
 Result<std::uint64_t> ParseMemory(std::string_view text) {
   const auto bytes = ParseSize(text);
   if (bytes && *bytes >= kLeastMemory) return *bytes;
@@ -330,7 +347,14 @@ void ConvertPlaces(const RawSample& raw, Converter& convert, SampleCommand& comm
 void ConvertRun(const RawSample& raw, Converter& convert, SampleCommand& command) {
   ConvertWhere(raw, convert, command.options.lattice);
   ConvertHow(raw, convert, command.options);
-  convert.Text(raw.attributes, command.options.attributes, ParseAttributes);
+  AttributeNames names{command.options.attributes, {}};
+  convert.Text(raw.attributes, names, ParseAttributes);
+  command.options.attributes = names.fixed;
+  command.options.mesh_attributes = std::move(names.of_mesh);
+  convert.Text(raw.normals, command.options.vertex_normals, ParseNormals);
+  convert.Require(!command.options.vertex_normals || (names.fixed & kNormal) != 0,
+                  "--normals vertex says which normals are written, but --attributes leaves them "
+                  "out; add normal");
   convert.Number(raw.position_error, kPositionErrorRange, command.position_error);
   convert.Number(raw.tile_samples, kTileSamplesRange, command.tile_samples);
   if (raw.memory) convert.Text(raw.memory, command.memory, ParseMemory);
@@ -339,6 +363,15 @@ void ConvertRun(const RawSample& raw, Converter& convert, SampleCommand& command
   command.resume = raw.resume;
   command.quiet = raw.quiet;
   command.assimp = raw.assimp;
+}
+
+// Shares and partials give the fixed attributes alone.
+void RequireFixedAttributes(Converter& convert, const SampleCommand& job) {
+  const auto& names = job.options.mesh_attributes;
+  convert.Require(names.empty(),
+                  "--attributes: found '" + (names.empty() ? "" : names.front()) +
+                      "', expected normal, triangle, barycentric, cell, area and weight: what a "
+                      "mesh carries is fetched by `strata sample` alone");
 }
 
 // "I/N" with I < N <= most; nothing if it is not.
@@ -395,6 +428,7 @@ Result<Command> ConvertScan(const RawSample& raw) {
   convert.Require(raw.input != "-", "MESH: found '-', expected a file, which all shares can read");
   convert.Require(raw.share.has_value(), "--share I/N is missing");
   ConvertRun(raw, convert, command.job);
+  RequireFixedAttributes(convert, command.job);
   convert.Text(raw.share, command.share, ParseShare);
   if (raw.lattice) convert.Text(raw.lattice, command.lattice, ParseLattice);
   if (!convert.outcome()) return Forward(convert.outcome());
@@ -421,6 +455,7 @@ Result<Command> ConvertMerge(RawSample raw) {
   if (!raw.parts.empty()) raw.input = raw.parts.front();
   ConvertPlaces(raw, convert, command.job);
   ConvertRun(raw, convert, command.job);
+  RequireFixedAttributes(convert, command.job);
   command.inputs = raw.parts;
   command.job.input = "-";  // Its places are the inputs.
   command.to_partial = !raw.format && raw.output && raw.output->ends_with(".run");
@@ -486,22 +521,26 @@ Result<std::uint64_t> ParseSize(std::string_view text) {
   return static_cast<std::uint64_t>(bytes);
 }
 
-Result<AttributeSet> ParseAttributes(std::string_view list) {
-  if (list == "none") return AttributeSet{0};
-  AttributeSet set = 0;
+Result<AttributeNames> ParseAttributes(std::string_view list) {
+  AttributeNames names;
+  if (list == "none") return names;
   for (std::size_t begin = 0; begin <= list.size();) {
     const std::size_t end = std::min(list.find(',', begin), list.size());
     const std::string_view name = list.substr(begin, end - begin);
     const auto* const found = std::ranges::find(kAttributeNames, name);
-    if (found == kAttributeNames.end()) {
+    if (found != kAttributeNames.end()) {
+      names.fixed |= AttributeSet{1} << (found - kAttributeNames.begin());
+    } else if (!IsAttributeName(name)) {
       return Refuse("--attributes: found '" + std::string(name) +
-                    "', expected normal, triangle, barycentric, cell and area with commas between, "
-                    "or none (default normal)");
+                    "', expected normal, triangle, barycentric, cell, area, weight and names of "
+                    "the mesh's attributes with commas between, all, or none (default normal)");
+    } else if (std::ranges::find(names.of_mesh, name) == names.of_mesh.end()) {
+      names.of_mesh.emplace_back(name);
     }
-    set |= AttributeSet{1} << (found - kAttributeNames.begin());
+    if (name == "all") names.fixed = kAllAttributes;
     begin = end + 1;
   }
-  return set;
+  return names;
 }
 
 Result<Command> ParseCommandLine(std::span<const std::string> arguments) {

@@ -92,8 +92,14 @@ Result<SampleCommand> CheckSample(const RawSample& raw);
 /// Errors: kInvalidArgument.
 Result<std::uint64_t> ParseSize(std::string_view text);
 
-/// Bits of the names in a comma-separated list; "none" alone is the empty set.
-/// Errors: kInvalidArgument; the message lists the valid names.
-Result<AttributeSet> ParseAttributes(std::string_view list);
+/// What --attributes names.
+struct AttributeNames {
+  AttributeSet fixed = 0;
+  std::vector<std::string> of_mesh;  ///< SampleOptions::mesh_attributes, each once.
+};
+/// The names in a comma-separated list: fixed ones become bits; "all" is everything; any other is
+/// one of the mesh's, which only the mesh can tell to be wrong; "none" alone is the empty set.
+/// Errors: kInvalidArgument, for an empty name or one that no attribute can have.
+Result<AttributeNames> ParseAttributes(std::string_view list);
 
 }  // namespace strata::server

@@ -41,12 +41,27 @@ Json SkippedToJson(const SkipCounts& skipped) {
   return json;
 }
 
-Json AttributesToJson(AttributeSet attributes) {
+Json AttributesToJson(const SampleOptions& options) {
   Json json = Json::array();
   for (std::size_t bit = 0; bit < kAttributeNames.size(); ++bit) {
-    if (attributes & (AttributeSet{1} << bit)) json.push_back(kAttributeNames[bit]);
+    if (options.attributes & (AttributeSet{1} << bit)) json.push_back(kAttributeNames[bit]);
   }
+  for (const std::string& name : options.mesh_attributes) json.push_back(name);
   return json;
+}
+
+Json ToJson(const std::vector<MeshAttribute>& attributes) {
+  Json list = Json::array();
+  for (const MeshAttribute& attribute : attributes) {
+    Json json = {{"name", attribute.name},
+                 {"type", NameOf(attribute.type)},
+                 {"components", attribute.components},
+                 {"of", NameOf(attribute.domain)},
+                 {"semantic", NameOf(attribute.semantic)}};
+    if (!attribute.names.empty()) json["names"] = attribute.names.size();
+    list.push_back(std::move(json));
+  }
+  return list;
 }
 
 Json LatticeToJson(const LatticeSpec& spec, const Lattice& lattice) {
@@ -57,20 +72,20 @@ Json LatticeToJson(const LatticeSpec& spec, const Lattice& lattice) {
 }
 
 Json OptionsToJson(const SampleOptions& options, double position_error, const SampleStats& stats) {
+  Json json;
   if (options.method == Method::kUniform) {
-    return {{"method", "uniform"},
-            {"count", stats.survivors},
+    json = {{"method", "uniform"}, {"count", stats.survivors}, {"seed", options.seed}};
+  } else {
+    json = {{"method", "stratified"},
+            {"lambda", options.lambda},
+            {"min_distance", options.min_distance},
             {"seed", options.seed},
-            {"attributes", AttributesToJson(options.attributes)},
-            {"position_error", position_error}};
+            {"integrator", options.integrator == Integrator::kExact ? "exact" : "subdivide"}};
   }
-  return {{"method", "stratified"},
-          {"lambda", options.lambda},
-          {"min_distance", options.min_distance},
-          {"seed", options.seed},
-          {"integrator", options.integrator == Integrator::kExact ? "exact" : "subdivide"},
-          {"attributes", AttributesToJson(options.attributes)},
-          {"position_error", position_error}};
+  json["attributes"] = AttributesToJson(options);
+  if (options.vertex_normals) json["normals"] = "vertex";
+  json["position_error"] = position_error;
+  return json;
 }
 
 }  // namespace strata::server

@@ -15,7 +15,7 @@ constexpr const char* kHow = "How";
 constexpr const char* kWhat = "What comes out";
 constexpr const char* kRun = "How it runs (none of these changes a sample)";
 
-constexpr std::array<OptionRow, 21> kOptionRows = {{
+constexpr std::array<OptionRow, 22> kOptionRows = {{
     {"--resolution", "N", kWhere,
      "Cells along the longest side of the bounding box.\n"
      "1 to 536870912; default 128.",
@@ -58,15 +58,20 @@ constexpr std::array<OptionRow, 21> kOptionRows = {{
      "The file to write; - is standard output. Needed. It appears whole\n"
      "or not at all.",
      &RawSample::output},
-    {"--format", "drc|ply|xyz|npz", kWhat,
-     "drc (Draco), ply (binary), xyz (text) or npz (NumPy).\n"
-     "Default: from OUTPUT's suffix.",
+    {"--format", "drc|ply|xyz|npz|csv|glb", kWhat,
+     "drc (Draco), ply (binary), xyz (text), npz (NumPy), csv or glb\n"
+     "(binary glTF). Default: from OUTPUT's suffix.",
      &RawSample::format},
     {"--attributes", "LIST", kWhat,
-     "What stands beside each position: any of normal, triangle,\n"
-     "barycentric, cell, area, with commas between; or none.\n"
-     "Default normal.",
+     "What stands beside each position, with commas between: any of\n"
+     "normal, triangle, barycentric, cell, area, weight; and of what\n"
+     "the mesh carries (strata info lists it), by name or as color, uv,\n"
+     "material, group, object. Or all, or none. Default normal.",
      &RawSample::attributes},
+    {"--normals", "face|vertex", kWhat,
+     "face: of the triangle; vertex: interpolated from the mesh's own,\n"
+     "of length one. Default face.",
+     &RawSample::normals},
     {"--position-error", "F", kWhat,
      "How far drc may move a sample, as a fraction of the edge.\n"
      "1e-9 to 1; default 0.01.",
@@ -119,7 +124,8 @@ std::span<const FlagRow> SampleFlagRows() { return kFlagRows; }
 
 bool Takes(Subcommand command, std::string_view names) {
   if (command == Subcommand::kSample) return true;
-  if (names == "--method" || names == "--count") return false;  // Not of shares.
+  // Not of shares, nor of partials, which know no mesh.
+  if (names == "--method" || names == "--count" || names == "--normals") return false;
   // What decides the reservoirs, and what decides the rest.
   constexpr std::string_view kOfScan[] = {
       "--resolution", "--voxel-size", "--height", "--lambda", "--seed",  "--integrator",

@@ -18,7 +18,8 @@ struct RawSample {
   std::optional<std::string> share, lattice;  // Of scan.
   std::optional<std::string> resolution, voxel_size, height;
   std::optional<std::string> method, count, lambda, min_distance, seed, integrator;
-  std::optional<std::string> format, attributes, position_error, tile_samples, picture, summary;
+  std::optional<std::string> format, attributes, normals, position_error, tile_samples, picture,
+      summary;
   std::optional<std::string> memory, scratch, threads, simd, batch_size;
   bool strict = false, resume = false, quiet = false, assimp = false;
 };

@@ -42,7 +42,8 @@ Result<std::string> JobKey(const SampleCommand& command, const Share& share,
                     options.integrator,
                     options.method,
                     options.count,
-                    options.attributes & kBarycentric,
+                    (options.attributes & kBarycentric) != 0 || !options.mesh_attributes.empty() ||
+                        options.vertex_normals,
                     share.index,
                     share.count};
   return io::Sha256Hex(job.dump()).substr(0, 32);

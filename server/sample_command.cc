@@ -247,6 +247,7 @@ class Job {
 
   Result<void> Deliver(SampledMesh sampled, JobReport* report = nullptr) {
     const SampleStats& stats = sampled.stats;
+    figures.carried = sampled.carried;
     PictureSamples picture(command_.picture.has_value(), stats.survivors);
     auto written = WriteSamples(command_, sampled, picture, context_, figures);
     if (!written) return written;

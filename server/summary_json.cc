@@ -26,6 +26,7 @@ Json StagesToJson(const SampleStats& stats, const JobFigures& figures) {
        {{"seconds", stats.lattice_seconds}, {"bytes", (passes - 1) * figures.scan_bytes}}},
       {"scan", {{"seconds", stats.scan_seconds}, {"bytes", figures.scan_bytes}}},
       {"reject", {{"seconds", stats.reject_seconds}}},
+      {"attributes", {{"seconds", stats.carry_seconds}}},
       {"write", {{"seconds", figures.write_seconds}, {"bytes", figures.write_bytes}}},
       {"picture", {{"seconds", figures.picture_seconds}}},
   };
@@ -133,6 +134,7 @@ std::string SummaryJson(const SampleCommand& command, const SampleStats& stats,
   }
   json["samples"] = {{"before_rejection", uniform ? stats.survivors : stats.cells},
                      {"after_rejection", stats.survivors}};
+  json["carried"] = ToJson(figures.carried);
   json["passes"] = stats.passes;
   json["resumed_at_triangle"] = stats.resumed_at;
   json["stages"] = StagesToJson(stats, figures);

@@ -16,6 +16,7 @@ namespace strata::server {
 /// What the command itself measured around SampleMesh. Wall seconds; bytes as stored.
 struct JobFigures {
   MeshInfo mesh;
+  std::vector<MeshAttribute> carried;  ///< The columns that the mesh's attributes became.
   double open_seconds = 0, write_seconds = 0, picture_seconds = 0, total_seconds = 0;
   std::uint64_t open_bytes = 0;   ///< Read of the input before its first triangle.
   std::uint64_t scan_bytes = 0;   ///< Read of the input in one pass over its triangles.

@@ -29,6 +29,7 @@ SampleHeader HeaderOf(const SampleCommand& command, const SampledMesh& sampled) 
   SampleHeader header = HeaderOf(command, sampled.stats);
   header.count = sampled.stats.survivors;
   header.bounds = sampled.bounds;
+  header.carried = sampled.carried;
   header.parcels = sampled.parcels;
   return header;
 }

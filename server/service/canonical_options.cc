@@ -9,12 +9,15 @@
 namespace strata::server {
 namespace {
 
-std::string AttributeNames(AttributeSet attributes) {
+std::string AttributeList(const SampleOptions& options) {
   std::string names;
   for (std::size_t bit = 0; bit < kAttributeNames.size(); ++bit) {
-    if ((attributes & (AttributeSet{1} << bit)) == 0) continue;
+    if ((options.attributes & (AttributeSet{1} << bit)) == 0) continue;
     names += (names.empty() ? "" : ",") + std::string(kAttributeNames[bit]);
   }
+  std::vector<std::string> of_mesh = options.mesh_attributes;
+  std::ranges::sort(of_mesh);  // Columns come in the mesh's order, whatever theirs.
+  for (const std::string& name : of_mesh) names += (names.empty() ? "" : ",") + name;
   return names.empty() ? "none" : names;
 }
 
@@ -43,7 +46,8 @@ Result<v1::SampleOptions> Canonical(const v1::SampleOptions& options) {
   canonical.set_seed(checked.seed);
   canonical.set_strict(checked.strict);
   canonical.set_format(std::ranges::find(Formats(), command->format, &FormatName::format)->name);
-  canonical.set_attributes(AttributeNames(checked.attributes));
+  canonical.set_attributes(AttributeList(checked));
+  if (checked.vertex_normals) canonical.set_normals("vertex");
   canonical.set_position_error(command->position_error);
   canonical.set_tile_samples(command->tile_samples);
   return canonical;

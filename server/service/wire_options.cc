@@ -13,11 +13,13 @@
 namespace strata::server {
 namespace {
 
-constexpr std::array<FormatName, 4> kFormats = {{
+constexpr std::array<FormatName, 6> kFormats = {{
     {io::SampleFormat::kDraco, "drc", "model/vnd.draco"},
     {io::SampleFormat::kPly, "ply", "model/vnd.ply"},
     {io::SampleFormat::kXyz, "xyz", "text/plain"},
     {io::SampleFormat::kNpz, "npz", "application/x-npz"},
+    {io::SampleFormat::kCsv, "csv", "text/csv"},
+    {io::SampleFormat::kGlb, "glb", "model/gltf-binary"},
 }};
 
 /// The shortest text that reads back as the same number.
@@ -61,6 +63,7 @@ RawSample RawOf(const v1::SampleOptions& options) {
   raw.strict = options.strict();
   raw.format = options.has_format() ? options.format() : kFormats.front().name;
   if (options.has_attributes()) raw.attributes = options.attributes();
+  if (options.has_normals()) raw.normals = options.normals();
   if (options.has_position_error()) raw.position_error = TextOf(options.position_error());
   if (options.has_tile_samples()) raw.tile_samples = TextOf(options.tile_samples());
   if (options.has_threads()) raw.threads = TextOf(options.threads());

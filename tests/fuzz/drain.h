@@ -1,12 +1,18 @@
 // Reading a whole mesh with bounded work: what every fuzz target does with what it opened.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <memory>
+#include <numeric>
+#include <span>
+#include <vector>
 
+#include "core/mesh_attributes.h"
 #include "core/mesh_reader.h"
+#include "core/run_context.h"
 
 namespace strata::test {
 
@@ -17,6 +23,7 @@ inline void Require(bool holds) {
 
 /// What a fuzz target wants to know of a mesh, to compare two ways of reading it.
 struct Drained {
+  std::vector<std::uint64_t> some;  ///< Ids of the first that were delivered.
   bool failed = false;
   std::uint64_t triangles = 0;  ///< Delivered in batches.
   double sum = 0;               ///< Of all finite coordinates, in order.
@@ -42,6 +49,7 @@ inline Drained Drain(MeshReader& reader, std::size_t batch_size) {
     for (std::size_t i = 0; i < *n; ++i) {
       Require(batch.ids()[i] >= next_id);
       next_id = batch.ids()[i] + 1;
+      if (drained.some.size() < 300) drained.some.push_back(batch.ids()[i]);
       for (int k = 0; k < 9; ++k) {
         const double value = batch.column(k)[i];
         if (value - value == 0) drained.sum += value;
@@ -60,8 +68,40 @@ inline Drained Drain(MeshReader& reader, std::size_t batch_size) {
   return drained;
 }
 
+/// Fetches every attribute of points on these triangles, a few at a time. That there is something
+/// wrong with attributes is an answer too.
+inline void FetchAttributes(MeshReader& reader, std::span<const std::uint64_t> triangles) {
+  constexpr std::size_t kAtOnce = 37;
+  std::vector<std::size_t> all(reader.attributes().size());
+  std::iota(all.begin(), all.end(), std::size_t{0});
+  if (all.empty()) return;
+  RunContext context;
+  const auto pass = reader.ReadAttributes(all, context);
+  const auto is_answer = [](const Error& error) {
+    return !error.message.empty() && error.code != ErrorCode::kInternal;
+  };
+  if (!pass) return Require(is_answer(pass.error()));
+  std::vector<std::vector<char>> values;
+  std::vector<char*> out;
+  for (const MeshAttribute& attribute : reader.attributes()) {
+    Require(attribute.components >= 1 && attribute.components <= kMostComponents);
+    values.emplace_back(kAtOnce * attribute.bytes());
+    out.push_back(values.back().data());
+  }
+  for (std::size_t first = 0; first < triangles.size(); first += kAtOnce) {
+    std::vector<SurfacePoint> points;
+    for (std::size_t i = first; i < std::min(first + kAtOnce, triangles.size()); ++i) {
+      points.push_back({triangles[i], {0.5, 0.25, 0.25}});
+    }
+    if (const auto read = (*pass)->Read(points, out); !read) {
+      return Require(is_answer(read.error()));
+    }
+  }
+}
+
 /// Drains a reader twice, in batches of different sizes with Rewind between, and requires that both
-/// passes agree. An error to open is an answer too. `reader` may be taken apart.
+/// passes agree, and fetches attributes between. An error to open is an answer too. `reader` may be
+/// taken apart.
 inline void DrainTwice(Result<std::unique_ptr<MeshReader>> reader) {
   if (!reader) {
     Require(!reader.error().message.empty() && reader.error().code != ErrorCode::kInternal);
@@ -69,6 +109,7 @@ inline void DrainTwice(Result<std::unique_ptr<MeshReader>> reader) {
   }
   const Drained first = Drain(**reader, 64);
   if (first.failed) return;
+  FetchAttributes(**reader, first.some);
   Require((*reader)->Rewind().has_value());
   const Drained second = Drain(**reader, 7);
   Require(!second.failed && second.counts.triangles == first.counts.triangles);

@@ -84,7 +84,7 @@ TEST(DracoWriter, NamesItsAttributesAndCarriesItsProvenance) {
     names.push_back(name);
   }
   EXPECT_EQ(names, (std::vector<std::string>{"position", "normal", "triangle", "barycentric",
-                                             "cell_x", "cell_y", "cell_z", "area"}));
+                                             "cell_x", "cell_y", "cell_z", "area", "weight"}));
   const draco::GeometryMetadata& metadata = *cloud->GetMetadata();
   std::string provenance;
   EXPECT_TRUE(metadata.GetEntryString("strata", &provenance));

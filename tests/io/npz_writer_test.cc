@@ -92,6 +92,7 @@ TEST(NpzWriter, NumpyReadsEveryBitOfEveryColumn) {
   expected += "position <f8 257 3\n" + Bits<std::uint64_t>(s.position) + "\n";
   expected += "provenance U\n" + Hex(test::kProvenance) + "\n";
   expected += "triangle <u8 257\n" + Bits<std::uint64_t>(s.triangle) + "\n";
+  expected += "weight <f8 257\n" + Bits<std::uint64_t>(s.weight) + "\n";
   EXPECT_EQ(output.text, expected);
 }
 

@@ -24,7 +24,7 @@ using test::TempFolder;
 using test::WriteSamples;
 
 const SampleFormat kFormats[] = {SampleFormat::kDraco, SampleFormat::kPly, SampleFormat::kXyz,
-                                 SampleFormat::kNpz};
+                                 SampleFormat::kNpz,   SampleFormat::kCsv, SampleFormat::kGlb};
 
 // Numbers by column name, and the comments before them.
 struct Table {
@@ -97,8 +97,9 @@ Table ParseXyz(const std::string& bytes) {
 
 void ExpectEqual(const Table& t, const SampleColumns& s) {
   ASSERT_EQ(t.rows, s.size());
-  ASSERT_EQ(t.names, (std::vector<std::string>{"x", "y", "z", "nx", "ny", "nz", "triangle", "b0",
-                                               "b1", "b2", "cell_x", "cell_y", "cell_z", "area"}));
+  ASSERT_EQ(t.names,
+            (std::vector<std::string>{"x", "y", "z", "nx", "ny", "nz", "triangle", "b0", "b1", "b2",
+                                      "cell_x", "cell_y", "cell_z", "area", "weight"}));
   const auto at = [&](const char* name, std::size_t i) { return t.columns.at(name)[i]; };
   for (std::size_t i = 0; i < s.size(); ++i) {
     ASSERT_EQ((Vec3{at("x", i), at("y", i), at("z", i)}), s.position[i]) << "sample " << i;
@@ -112,6 +113,7 @@ void ExpectEqual(const Table& t, const SampleColumns& s) {
                     static_cast<int>(at("cell_z", i))};
     ASSERT_EQ(cell, s.cell[i]) << "sample " << i;
     ASSERT_EQ(at("area", i), s.area[i]) << "sample " << i;
+    ASSERT_EQ(at("weight", i), s.weight[i]) << "sample " << i;
   }
 }
 
@@ -196,7 +198,7 @@ TEST(XyzWriter, HasRoomForTheLongestLine) {
   samples.triangle[0] = ~std::uint64_t{0};
   samples.barycentric[0] = {longest, longest, longest};
   samples.cell[0] = {INT32_MIN, INT32_MIN, INT32_MIN};
-  samples.area[0] = longest;
+  samples.area[0] = samples.weight[0] = longest;
   const auto size =
       WriteSamples(folder / "a", SampleFormat::kXyz, samples, HeaderFor(samples, kAllAttributes));
   ASSERT_TRUE(size) << MessageOf(size);
@@ -204,7 +206,7 @@ TEST(XyzWriter, HasRoomForTheLongestLine) {
 }
 
 std::string NameOf(const ::testing::TestParamInfo<SampleFormat>& tested) {
-  static constexpr const char* kNames[] = {"Drc", "Ply", "Xyz", "Npz"};
+  static constexpr const char* kNames[] = {"Drc", "Ply", "Xyz", "Npz", "Csv", "Glb"};
   return kNames[static_cast<std::size_t>(tested.param)];
 }
 

@@ -9,13 +9,16 @@ function(strata_writer_test name)
   add_executable(${name} ${name}.cc)
   target_link_libraries(${name}
     PRIVATE strata_compile strata_io draco::draco nlohmann_json::nlohmann_json PNG::PNG GTest::gtest_main)
-  target_compile_definitions(${name} PRIVATE STRATA_TEST_PYTHON="${strata_test_python}")
+  target_compile_definitions(${name} PRIVATE STRATA_TEST_PYTHON="${strata_test_python}"
+    STRATA_SOURCE_DIR="${PROJECT_SOURCE_DIR}")
   gtest_discover_tests(${name})
 endfunction()
 
 strata_writer_test(atomic_file_test)
+strata_writer_test(carried_columns_test)
 strata_writer_test(draco_writer_test)
 strata_writer_test(float_grid_test)
+strata_writer_test(glb_test)
 strata_writer_test(npz_writer_test)
 strata_writer_test(picture_test)
 strata_writer_test(sample_writer_test)

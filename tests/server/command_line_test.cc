@@ -187,21 +187,41 @@ TEST(OptionFormat, FollowsTheSuffix) {
   EXPECT_EQ(format_of("-o a.npz"), io::SampleFormat::kNpz);
   EXPECT_EQ(format_of("-o a.dat --format npz"), io::SampleFormat::kNpz);
   EXPECT_EQ(format_of("-o a.ply --format xyz"), io::SampleFormat::kXyz);
-  EXPECT_THAT(Refusal("sample in.ply -o a.dat"), HasSubstr(".drc, .ply, .xyz or .npz"));
+  EXPECT_THAT(Refusal("sample in.ply -o a.dat"), HasSubstr(".drc, .ply, .xyz, .npz, .csv or .glb"));
   EXPECT_THAT(Refusal("sample in.ply -o -"), HasSubstr("--format is needed"));
-  EXPECT_THAT(SampleRefusal("--format obj"), HasSubstr("drc, ply, xyz or npz"));
+  EXPECT_THAT(SampleRefusal("--format obj"), HasSubstr("drc, ply, xyz, npz, csv or glb"));
 }
 
 TEST(OptionAttributes, DefaultsToNormal) {
   EXPECT_EQ(Sample("").options.attributes, AttributeSet{kNormal});
   EXPECT_EQ(Sample("--attributes none").options.attributes, AttributeSet{0});
   EXPECT_EQ(Sample("--attributes area,cell").options.attributes, AttributeSet{kArea | kCell});
-  EXPECT_EQ(Sample("--attributes normal,triangle,barycentric,cell,area").options.attributes,
+  EXPECT_EQ(Sample("--attributes normal,triangle,barycentric,cell,area,weight").options.attributes,
             kAllAttributes);
-  for (const char* bad : {"colour", "normal,none", "normal,", "Normal"}) {
+  for (const char* bad : {"a/b", "normal,none", "normal,", ",area"}) {
     EXPECT_THAT(SampleRefusal(std::string("--attributes ") + bad),
-                HasSubstr("normal, triangle, barycentric, cell and area"));
+                HasSubstr("normal, triangle, barycentric, cell, area, weight and names"));
   }
+}
+
+TEST(OptionAttributes, LeavesOtherNamesToTheMesh) {
+  const SampleOptions some = Sample("--attributes color,area,label,color").options;
+  EXPECT_EQ(some.attributes, AttributeSet{kArea});
+  EXPECT_EQ(some.mesh_attributes, (std::vector<std::string>{"color", "label"}));
+  const SampleOptions all = Sample("--attributes all").options;
+  EXPECT_EQ(all.attributes, kAllAttributes);
+  EXPECT_EQ(all.mesh_attributes, std::vector<std::string>{"all"});
+  EXPECT_THAT(Refusal("scan in.ply --share 0/2 -o a.run --attributes color"),
+              HasSubstr("`strata sample` alone"));
+  EXPECT_THAT(Refusal("merge a.run -o a.ply --attributes all"), HasSubstr("`strata sample` alone"));
+}
+
+TEST(OptionNormals, DefaultsToFace) {
+  EXPECT_FALSE(Sample("").options.vertex_normals);
+  EXPECT_FALSE(Sample("--normals face").options.vertex_normals);
+  EXPECT_TRUE(Sample("--normals vertex").options.vertex_normals);
+  EXPECT_THAT(SampleRefusal("--normals flat"), HasSubstr("vertex or face (default face)"));
+  EXPECT_THAT(SampleRefusal("--normals vertex --attributes area"), HasSubstr("add normal"));
 }
 
 TEST(OptionPositionError, DefaultsTo1PercentOfTheEdge) {

@@ -53,8 +53,11 @@ class RunStrata : public testing::Test {
 // --- What comes out ------------------------------------------------------------------------------
 
 TEST_F(RunStrata, WritesEveryFormat) {
-  const std::vector<std::pair<std::string, std::string>> formats = {
-      {"out.drc", "DRACO"}, {"out.ply", "ply\n"}, {"out.npz", "PK"}, {"out.xyz", ""}};
+  const std::vector<std::pair<std::string, std::string>> formats = {{"out.drc", "DRACO"},
+                                                                    {"out.ply", "ply\n"},
+                                                                    {"out.npz", "PK"},
+                                                                    {"out.xyz", ""},
+                                                                    {"out.glb", "glTF"}};
   for (const auto& [name, magic] : formats) {
     const std::string bytes = Written(name, {"--resolution", "10"});
     EXPECT_THAT(bytes.substr(0, 8), StartsWith(magic)) << name;
@@ -139,6 +142,31 @@ TEST_F(RunStrata, MoreUniformSamplesThanATileAreAFolder) {
   const json set = json::parse(ReadText(In("out.drc/tileset.json")));
   EXPECT_EQ(set["count"], 5000);
   EXPECT_GT(set["tiles"].size(), 12u);
+}
+
+TEST_F(RunStrata, SamplesCarryWhatTheMeshHas) {
+  WriteFile(In("cube.obj"),
+            "v 0 0 0 1 0 0\nv 4 0 0 0 1 0\nv 4 4 0 0 1 1\nv 0 4 0 1 0 1\nvn 0 3 4\n"
+            "g left\nf 1//1 2//1 3//1\ng right\nf 1//1 3//1 4//1\n");
+  const std::vector<std::string> options = {"--resolution", "9",         "--attributes",
+                                            "normal,group", "--normals", "vertex"};
+  const std::string text = Written("a.csv", options);
+  EXPECT_THAT(text, StartsWith("x,y,z,nx,ny,nz,group\n"));
+  EXPECT_THAT(text, HasSubstr(",0,0.6,0.8,1\n"));
+  EXPECT_EQ(Sample("b.ply", {"--attributes", "all", "--summary", In("b.json")}).status, 0);
+  const json carried = json::parse(ReadText(In("b.json")))["carried"];
+  ASSERT_EQ(carried.size(), 3u);
+  EXPECT_EQ(carried[0]["name"], "color");
+  EXPECT_EQ(carried[2]["names"], 3);
+  EXPECT_THAT(ReadText(In("b.ply")), HasSubstr("comment name group 2 \"right\"\n"));
+  const Outcome info = Strata({"info", In("cube.obj"), "--json"});
+  const json listed = json::parse(info.out)["attributes"];
+  ASSERT_EQ(listed.size(), carried.size());
+  for (std::size_t k = 0; k < 3; ++k) EXPECT_EQ(listed[k]["name"], carried[k]["name"]);
+  const Outcome missing = Sample("c.ply", {"--attributes", "colour"});
+  EXPECT_EQ(missing.status, 2);
+  EXPECT_THAT(missing.err,
+              HasSubstr("'colour' is not there; the mesh carries: color (3 x float32"));
 }
 
 TEST_F(RunStrata, ThreadsAndBatchesDoNotShowInTheBytes) {

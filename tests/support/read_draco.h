@@ -88,6 +88,9 @@ inline SampleColumns DracoSamples(const draco::PointCloud& cloud, AttributeSet a
   if (has(kArea)) {
     for (const auto& a : DracoColumn<float, 1>(cloud, "area")) s.area.push_back(a[0]);
   }
+  if (has(kWeight)) {
+    for (const auto& w : DracoColumn<float, 1>(cloud, "weight")) s.weight.push_back(w[0]);
+  }
   return s;
 }
 

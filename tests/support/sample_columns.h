@@ -37,6 +37,7 @@ inline SampleColumns RandomSamples(std::size_t n, std::uint64_t seed, double edg
                       static_cast<std::int32_t>(in_cells.y) + 1'000'000,
                       static_cast<std::int32_t>(in_cells.z)});
     s.area.push_back(unit(random) * edge * edge);
+    s.weight.push_back(1 - unit(random));
   }
   return s;
 }
@@ -59,8 +60,8 @@ inline SampleColumns Slice(const SampleColumns& s, std::size_t first, std::size_
     const auto begin = column.begin() + static_cast<std::ptrdiff_t>(first);
     return std::decay_t<decltype(column)>(begin, begin + static_cast<std::ptrdiff_t>(n));
   };
-  return {cut(s.position),    cut(s.normal), cut(s.triangle),
-          cut(s.barycentric), cut(s.cell),   cut(s.area)};
+  return {cut(s.position), cut(s.normal), cut(s.triangle), cut(s.barycentric),
+          cut(s.cell),     cut(s.area),   cut(s.weight),   {}};
 }
 
 /// Writes `samples` in portions of `portion`; returns the file's size.

@@ -30,7 +30,8 @@ template <class T>
 inline ::testing::AssertionResult SameSamples(const SampleColumns& a, const SampleColumns& b) {
   for (const auto& same :
        {SameColumn(a.position, b.position, "position"), SameColumn(a.normal, b.normal, "normal"),
-        SameColumn(a.cell, b.cell, "cell"), SameColumn(a.area, b.area, "area")}) {
+        SameColumn(a.cell, b.cell, "cell"), SameColumn(a.area, b.area, "area"),
+        SameColumn(a.weight, b.weight, "weight")}) {
     if (!same) return same;
   }
   return ::testing::AssertionSuccess();
