@@ -61,7 +61,7 @@ Result<std::vector<AttributeRange>> FindRanges(MeshReader& triangles, MeshReader
   for (const MeshAttribute& attribute : values.attributes()) {
     const auto components = static_cast<std::size_t>(attribute.components);
     ranges.push_back({attribute, std::vector<double>(components, kInfinite),
-                      std::vector<double>(components, -kInfinite)});
+                      std::vector<double>(components, -kInfinite), ""});
     buffers.emplace_back(3 * kBatch * attribute.bytes());
     out.push_back(buffers.back().data());
   }

@@ -17,6 +17,7 @@ namespace strata::server {
 struct AttributeRange {
   MeshAttribute attribute;
   std::vector<double> min, max;
+  std::string fault;  ///< Why they could not be read; "" if they could, or were not looked for.
 };
 
 /// Reads the attributes of `values` once, at the corners of the triangles that `triangles`, another

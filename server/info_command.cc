@@ -18,11 +18,17 @@ namespace {
 Result<std::vector<AttributeRange>> RangesOf(const InfoCommand& command, MeshReader& reader,
                                              RunContext& context) {
   std::vector<AttributeRange> ranges;
-  for (const MeshAttribute& attribute : reader.attributes()) ranges.push_back({attribute, {}, {}});
+  for (const MeshAttribute& attribute : reader.attributes()) {
+    ranges.push_back({attribute, {}, {}, ""});
+  }
   if (ranges.empty() || command.input == "-") return ranges;
   const auto triangles = io::OpenMesh(command.input, OpenWithin(context, command.assimp));
   if (!triangles) return Forward(triangles);
-  return FindRanges(**triangles, reader, context);
+  auto found = FindRanges(**triangles, reader, context);
+  if (found || found.error().code != ErrorCode::kCorruptInput) return found;
+  // The surface is sound: what is wrong with values beside it is part of the answer.
+  for (AttributeRange& range : ranges) range.fault = found.error().message;
+  return ranges;
 }
 
 }  // namespace

@@ -56,7 +56,7 @@ std::string BoundsText(const Bounds& bounds) {
 // A name of the file's, harmless on a terminal.
 std::string Printable(const std::string& name) {
   std::string text;
-  for (const char c : name.substr(0, 80)) text += c >= ' ' && c != '\x7f' ? c : '?';
+  for (const char c : name.substr(0, 200)) text += c >= ' ' && c != '\x7f' ? c : '?';
   return text.empty() ? "(unnamed)" : text;
 }
 
@@ -99,11 +99,13 @@ Json RangeToJson(const AttributeRange& each) {
                {"min", nullptr},
                {"max", nullptr}};
   if (!each.min.empty()) json["min"] = each.min, json["max"] = each.max;
+  json["fault"] = each.fault.empty() ? Json() : Json(each.fault);
   return json;
 }
 
 std::string RangeText(const AttributeRange& each) {
   std::string text = Describe(each.attribute);
+  if (!each.fault.empty()) return text + ": not readable: " + Printable(each.fault);
   for (std::size_t i = 0; i < each.min.size(); ++i) {
     text += (i == 0 ? ": " : ", ") + Short(each.min[i]) + " to " + Short(each.max[i]);
   }
