@@ -41,6 +41,7 @@ LIBRARIES = {
     'zstd.h': {'core', 'io'},
     'curl/': {'server'},
     'pugixml.hpp': {'server'},
+    'libpq-fe.h': {'server'},
     'sqlite3.h': {'server'},
     'utf8cpp/': {'server'},
     'CLI/': {'server'},
@@ -55,7 +56,8 @@ ONLY_IN_SOURCES = {'curl/', 'draco/', 'openvdb/', 'pugixml.hpp'}  # Never in a h
 ONE_FILE = {'openvdb/'}  # In one source file of the whole tree.
 # In this folder alone.
 ONE_FOLDER = {
-    'sqlite3.h': 'server/store', 'curl/': 'server/remote', 'pugixml.hpp': 'server/remote'}
+    'sqlite3.h': 'server/store', 'libpq-fe.h': 'server/store', 'curl/': 'server/remote',
+    'pugixml.hpp': 'server/remote'}
 # The stores serve every transport, so they know none, and no wire format.
 STORE = 'server/store'
 STORE_MAY_INCLUDE = ('core/', 'io/', 'server/store/')
@@ -155,6 +157,7 @@ def self_test():
         'server/mesh.cc': '#include <draco/mesh/mesh.h>\n',
         'proto/up.h': '#include "server/a.h"\n',
         'server/rows.cc': '#include <sqlite3.h>\n',
+        'server/lines.cc': '#include <libpq-fe.h>\n',
         'server/fetch.cc': '#include <curl/curl.h>\n',
         'server/store/up.cc': '#include "server/exit_codes.h"\n',
         'server/store/wire.h': '#include <nlohmann/json.hpp>\n',

@@ -43,6 +43,7 @@ class HelpFormatter : public CLI::Formatter {
            "       strata info MESH [--json] [--assimp]\n"
 #ifdef STRATA_SERVICE
            "       strata serve [options]\n"
+           "       strata worker [options]\n"
            "       strata key NAME [--role full|read]\n"
            "       strata health [URL]\n"
            "       strata batch REPO -o OUT [options]\n"
@@ -163,7 +164,7 @@ Result<void> RefuseExtras(const CLI::App& app, const CLI::App* command) {
   }
   std::vector<std::string> names = {"sample", "scan", "merge", "info", "--help", "--version"};
 #ifdef STRATA_SERVICE
-  names.insert(names.end(), {"serve", "key", "health", "batch", "report"});
+  names.insert(names.end(), {"serve", "worker", "key", "health", "batch", "report"});
 #endif
   for (const CLI::Option* option : command ? command->get_options() : app.get_options()) {
     for (const std::string& name : option->get_lnames()) names.push_back("--" + name);

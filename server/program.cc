@@ -27,7 +27,7 @@ void OccupyStandardStreams() {
 }  // namespace
 
 bool IsServiceCommand(std::string_view name) {
-  constexpr std::array kNames = {"serve", "key", "health", "batch", "report"};
+  constexpr std::array kNames = {"serve", "worker", "key", "health", "batch", "report"};
   return std::ranges::find(kNames, name) != kNames.end();
 }
 

@@ -40,11 +40,12 @@ Result<std::unique_ptr<HttpServer>> StartHttp(const ServeCommand& command, Servi
   options.port = command.http->port;
   options.limits = command.http_limits;
   // Another site's page does not know a key, but a browser shows its certificate to whoever asks.
-  const bool keys = !command.keys.empty();
-  options.guard = BrowserGuard({.refuse_other_sites = !keys,
-                                .refuse_other_hosts = !keys && command.tls.client_ca.empty(),
-                                .address = command.http->address,
-                                .names = command.allowed_hosts});
+  const bool keys = !command.keys.empty(), worker = command.mode == ServeMode::kWorker;
+  options.guard =
+      BrowserGuard({.refuse_other_sites = !keys,
+                    .refuse_other_hosts = !keys && !worker && command.tls.client_ca.empty(),
+                    .address = command.http->address,
+                    .names = command.allowed_hosts});
   if (command.tls.on()) {
     auto tls = TlsContext::Load(command.tls);
     if (!tls) return Forward(tls);
@@ -121,16 +122,22 @@ struct Running {
 
 /// Until no request is in flight, a second signal comes, or the time is up; then jobs end as if
 /// their clients had gone.
-void Drain(Running& running, const sigset_t& signals, std::uint32_t seconds) {
+void Drain(Running& running, const sigset_t& signals, const ServeCommand& command) {
+  const bool worker = command.mode == ServeMode::kWorker;
   Log(LogLevel::kInfo, "draining",
       {{"requests", std::uint64_t{running.service->requests_in_flight()}}});
   NotifySystemd("STOPPING=1");
   running.service->Drain();
+  if (running.stored) running.stored->StopClaiming();
   if (running.rpc) running.rpc->StopServing();
   if (running.http) running.http->StopAccepting();
-  const auto deadline = SteadyClock::now() + std::chrono::seconds(seconds);
+  const auto deadline = SteadyClock::now() + std::chrono::seconds(command.drain_seconds);
   constexpr timespec kTick = {0, 50'000'000};
-  while (running.service->requests_in_flight() > 0 && SteadyClock::now() < deadline) {
+  const auto busy = [&running, worker] {
+    // What a worker has begun it finishes; of a service's jobs others wait for requests only.
+    return running.service->requests_in_flight() > 0 || (worker && running.stored->running() > 0);
+  };
+  while (busy() && SteadyClock::now() < deadline) {
     if (sigtimedwait(&signals, nullptr, &kTick) > 0) break;
   }
   const std::uint64_t left = running.service->requests_in_flight();
@@ -141,10 +148,8 @@ void Drain(Running& running, const sigset_t& signals, std::uint32_t seconds) {
   Log(LogLevel::kInfo, "stopped", {{"requests_cut", left}});
 }
 
-}  // namespace
-
-Result<void> RunServe(std::span<const std::string> arguments) {
-  const auto parsed = ParseServe(arguments);
+Result<void> RunNode(std::span<const std::string> arguments, ServeMode mode) {
+  const auto parsed = ParseServe(arguments, mode);
   if (!parsed) return Forward(parsed);
   if (const auto* const show = std::get_if<ShowText>(&*parsed)) {
     std::fputs(show->text.c_str(), stdout);
@@ -163,6 +168,7 @@ Result<void> RunServe(std::span<const std::string> arguments) {
     if (!stored) return Forward(stored);
     running.stored = *std::move(stored);
     running.service->SetStored(running.stored.get());
+    if (mode == ServeMode::kWorker) running.service->AnswerProbesAlone();
   }
   if (command.batches) {
     auto batches = BatchService::Start(*command.batches, *running.service);
@@ -179,20 +185,31 @@ Result<void> RunServe(std::span<const std::string> arguments) {
   auto rpc = StartRpc(command, *running.service);
   if (!rpc) return Forward(rpc);
   running.rpc = *std::move(rpc);
-  Log(LogLevel::kInfo, "serving",
+  Log(LogLevel::kInfo, mode == ServeMode::kWorker ? "working" : "serving",
       {{"version", std::string(kVersion)},
        {"http", Where(command.http, running.http ? running.http->port() : 0)},
        {"grpc", Where(command.grpc, running.rpc ? running.rpc->port() : 0)},
        {"tls", command.tls.on() ? "on" : "off"},
        {"data", command.store ? command.store->data : "none"},
+       {"database", command.store && command.store->shared ? "postgresql" : "sqlite"},
        {"keys", command.keys.empty() ? "none" : "file"},
        {"jobs", std::uint64_t{command.limits.jobs.jobs}},
        {"job_memory", command.limits.job_memory_bytes}});
   NotifySystemd("READY=1");
   int received = 0;
   sigwait(&signals, &received);
-  Drain(running, signals, command.drain_seconds);
+  Drain(running, signals, command);
   return {};
+}
+
+}  // namespace
+
+Result<void> RunServe(std::span<const std::string> arguments) {
+  return RunNode(arguments, ServeMode::kServe);
+}
+
+Result<void> RunWorkerNode(std::span<const std::string> arguments) {
+  return RunNode(arguments, ServeMode::kWorker);
 }
 
 }  // namespace strata::server

@@ -7,7 +7,9 @@
 #include <CLI/Formatter.hpp>
 #include <algorithm>
 #include <filesystem>
+#include <fstream>
 #include <memory>
+#include <regex>
 #include <sstream>
 #include <thread>
 
@@ -168,6 +170,41 @@ ServiceLimits ServiceLimitsOf(Reader& read) {
   return limits;
 }
 
+/// The first line of a file, without its end.
+Result<std::string> ReadSecret(const std::string& path) {
+  std::ifstream file(path);
+  std::string line;
+  if (!file || !std::getline(file, line)) {
+    return Invalid("--database-password-file " + path + ": cannot be read, or is empty");
+  }
+  if (line.ends_with('\r')) line.pop_back();
+  return line;
+}
+
+void ReadDatabase(Reader& read, StoreOptions& options) {
+  const std::string url = read.Text("database"), secret = read.Text("database-password-file");
+  const std::uint64_t lease = read.Number("lease", 2, 3'600);
+  if (read.Has("max-attempts")) {
+    options.jobs.max_attempts = static_cast<std::int64_t>(read.Number("max-attempts", 1, 1'000));
+  } else if (!url.empty()) {
+    options.jobs.max_attempts = 3;
+  }
+  if (url.empty()) {
+    if (!secret.empty()) read.Refuse("--database-password-file needs --database");
+    return;
+  }
+  if (!url.starts_with("postgresql://") && !url.starts_with("postgres://")) {
+    read.Refuse("--database: expected postgresql://[USER@]HOST[:PORT]/NAME");
+  }
+  options.shared.emplace();
+  options.shared->postgres.url = url;
+  options.shared->lease = options.jobs.lease = std::chrono::seconds(lease);
+  if (secret.empty()) return;
+  auto password = ReadSecret(secret);
+  if (!password) return read.Refuse(password.error().message);
+  options.shared->postgres.password = *std::move(password);
+}
+
 std::optional<StoreOptions> StoreOptionsOf(Reader& read, const ServiceLimits& limits) {
   StoreOptions options;
   options.data = read.Text("data");
@@ -177,7 +214,9 @@ std::optional<StoreOptions> StoreOptionsOf(Reader& read, const ServiceLimits& li
   options.uploads.max_bytes = limits.body_bytes;
   options.jobs.max_queued = read.Number("stored-jobs", 1, 1'000'000);
   options.job_retention = std::chrono::hours(read.Number("keep-jobs", 1, 100'000));
+  ReadDatabase(read, options);
   if (!options.data.empty()) return options;
+  if (options.shared) read.Refuse("--database needs --data, a folder that all its processes share");
   if (!options.models.empty()) read.Refuse("--models needs --data, where its hashes are kept");
   return std::nullopt;
 }
@@ -239,6 +278,12 @@ std::vector<std::string> WithValues(std::span<const std::string> arguments) {
   return all;
 }
 
+/// A message that may quote an address, as postgresql://user:password@host.
+std::string WithoutPasswords(const std::string& message) {
+  static const std::regex kPassword("(://[^:/@ ]*):[^ ]*@");
+  return std::regex_replace(message, kPassword, "$1:...@");
+}
+
 /// Several values of an option as its one text.
 std::string Joined(const std::vector<std::string>& values) {
   std::string all;
@@ -272,9 +317,13 @@ void AddOption(CLI::App& app, const ServeOption& option, ServeTexts& given) {
   added->option_text(option.value)->group(option.group);
 }
 
-std::unique_ptr<CLI::App> MakeServeApp(std::optional<std::string>& file, ServeTexts& given) {
+std::unique_ptr<CLI::App> MakeServeApp(std::optional<std::string>& file, ServeTexts& given,
+                                       ServeMode mode) {
+  const bool worker = mode == ServeMode::kWorker;
   auto app = std::make_unique<CLI::App>(
-      "Serves sampling over HTTP and gRPC until SIGTERM or Ctrl-C.", "strata serve");
+      worker ? "Runs jobs of a database that several processes share until SIGTERM or Ctrl-C."
+             : "Serves sampling over HTTP and gRPC until SIGTERM or Ctrl-C.",
+      worker ? "strata worker" : "strata serve");
   app->set_help_flag("-h,--help", "Print this and stop.");
   app->get_formatter()->column_width(27);
   app->add_option_function<std::string>(
@@ -282,17 +331,25 @@ std::unique_ptr<CLI::App> MakeServeApp(std::optional<std::string>& file, ServeTe
          "These options as TOML, `name = value`; the command line goes\nbefore it. Default "
          "strata.toml if there is one.")
       ->option_text("FILE");
-  for (const ServeOption& option : ServeOptions()) AddOption(*app, option, given);
+  for (ServeOption option : ServeOptions()) {
+    if (worker && !IsWorkerOption(option.name)) continue;
+    if (worker && std::string_view(option.name) == "http") {
+      option.help = "HTTP for /livez, /readyz and /metrics alone.";
+      option.computed = "off";
+    }
+    AddOption(*app, option, given);
+  }
   return app;
 }
 
 }  // namespace
 
-CommandText DescribeServe() {
+CommandText DescribeServe(ServeMode mode) {
   std::optional<std::string> file;
   ServeTexts given;
-  CommandText text = Describe(*MakeServeApp(file, given), "serve");
-  text.usage = "strata serve [options]\n";
+  const std::string name = mode == ServeMode::kWorker ? "worker" : "serve";
+  CommandText text = Describe(*MakeServeApp(file, given, mode), name);
+  text.usage = "strata " + name + " [options]\n";
   return text;
 }
 
@@ -323,11 +380,13 @@ Result<ServeTexts> ReadServeFile(const std::string& path) {
   return texts;
 }
 
-Result<ServeCommand> CheckServe(const ServeTexts& texts) {
+Result<ServeCommand> CheckServe(const ServeTexts& texts, ServeMode mode) {
   Reader read(texts);
   ServeCommand command;
-  command.http = read.Address("http");
-  command.grpc = read.Address("grpc");
+  command.mode = mode;
+  const bool worker = mode == ServeMode::kWorker;
+  if (!worker || read.Has("http")) command.http = read.Address("http");
+  if (!worker) command.grpc = read.Address("grpc");
   command.tls = {read.Text("tls-certificate"), read.Text("tls-key"), read.Text("tls-client-ca")};
   command.keys = read.Text("keys");
   command.allowed_hosts =
@@ -341,23 +400,29 @@ Result<ServeCommand> CheckServe(const ServeTexts& texts) {
   command.log_level =
       static_cast<LogLevel>(read.OneOf("log-level", {"debug", "info", "warning", "error"}));
   command.drain_seconds = static_cast<std::uint32_t>(read.Number("drain-timeout", 0, 86'400));
-  CheckAccess(command, read);
+  if (!worker) CheckAccess(command, read);
+  if (worker && !(command.store && command.store->shared)) {
+    read.Refuse("strata worker needs --database and --data, where its jobs and models are");
+  }
   if (!read.outcome()) return Forward(read.outcome());
   return command;
 }
 
-Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments) {
+Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments,
+                                                        ServeMode mode) {
+  using Parsed = Result<std::variant<ServeCommand, ShowText>>;
   std::optional<std::string> file;
   ServeTexts given;
-  const auto app = MakeServeApp(file, given);
+  const auto app = MakeServeApp(file, given, mode);
   std::vector<std::string> words = WithValues(arguments);
   std::ranges::reverse(words);  // CLI11 takes its vector back to front.
   try {
     app->parse(words);
   } catch (const CLI::CallForHelp&) {
-    return std::variant<ServeCommand, ShowText>(ShowText{app->help()});
+    return Parsed(tl::in_place, std::in_place_type<ShowText>, ShowText{app->help()});
   } catch (const CLI::Error& error) {
-    return Invalid(std::string(error.what()) + "; see strata serve --help");
+    const char* const name = mode == ServeMode::kWorker ? "worker" : "serve";
+    return Invalid(WithoutPasswords(error.what()) + "; see strata " + name + " --help");
   }
   constexpr const char* kUsual = "strata.toml";
   std::error_code failed;
@@ -367,9 +432,9 @@ Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::str
     if (!texts) return Forward(texts);
     given.merge(*texts);
   }
-  auto command = CheckServe(given);
+  auto command = CheckServe(given, mode);
   if (!command) return Forward(command);
-  return std::variant<ServeCommand, ShowText>(*std::move(command));
+  return Parsed(tl::in_place, std::in_place_type<ServeCommand>, *std::move(command));
 }
 
 }  // namespace strata::server

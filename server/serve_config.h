@@ -26,9 +26,14 @@ struct Listen {
   std::uint16_t port = 0;
 };
 
-/// `strata serve`, every value within its range.
+/// Which command: `strata worker` runs jobs of a shared database, and answers no requests but those
+/// for its health and figures.
+enum class ServeMode : std::uint8_t { kServe, kWorker };
+
+/// `strata serve` or `strata worker`, every value within its range.
 struct ServeCommand {
-  std::optional<Listen> http, grpc;  ///< Absent: off. At least one is there.
+  ServeMode mode = ServeMode::kServe;
+  std::optional<Listen> http, grpc;  ///< Absent: off. Of serve at least one is there.
   TlsFiles tls;
   std::string keys;  ///< File; empty: none.
   std::vector<std::string> allowed_hosts;
@@ -45,16 +50,17 @@ struct ServeCommand {
 /// The arguments after "serve". Reads the file of `--config`, or strata.toml in the working
 /// directory if there is one; the command line goes before the file.
 /// Errors: kInvalidArgument, naming option or file and line; kNotFound.
-Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments);
+Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::string> arguments,
+                                                        ServeMode mode = ServeMode::kServe);
 
-/// What `strata serve --help` prints.
-CommandText DescribeServe();
+/// What `strata serve --help` and `strata worker --help` print.
+CommandText DescribeServe(ServeMode mode = ServeMode::kServe);
 
 /// The texts of a TOML file: `name = value`, no tables; lists where an option may be repeated.
 /// Errors: kInvalidArgument, kNotFound.
 Result<ServeTexts> ReadServeFile(const std::string& path);
 
 /// The checked configuration. Errors: kInvalidArgument.
-Result<ServeCommand> CheckServe(const ServeTexts& texts);
+Result<ServeCommand> CheckServe(const ServeTexts& texts, ServeMode mode = ServeMode::kServe);
 
 }  // namespace strata::server

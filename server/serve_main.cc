@@ -1,4 +1,5 @@
-// The program behind `strata serve`, `key`, `health`, `batch` and `report`, and its own workers.
+// The program behind `strata serve`, `worker`, `key`, `health`, `batch` and `report`, and its own
+// workers.
 #include <span>
 #include <string>
 #include <vector>
@@ -28,7 +29,10 @@ int Main(const std::vector<std::string>& arguments) {
     const auto status = ReportMain(rest);
     return status ? *status : Report(status.error(), 0);
   }
-  const auto run = arguments[0] == "serve" ? RunServe : arguments[0] == "key" ? RunKey : RunHealth;
+  const auto run = arguments[0] == "serve"    ? RunServe
+                   : arguments[0] == "worker" ? RunWorkerNode
+                   : arguments[0] == "key"    ? RunKey
+                                              : RunHealth;
   const Result<void> outcome = run(rest);
   return outcome ? 0 : Report(outcome.error(), 0);
 }

@@ -1,5 +1,6 @@
 #include "server/serve_option_table.h"
 
+#include <algorithm>
 #include <array>
 
 namespace strata::server {
@@ -13,7 +14,7 @@ constexpr const char* kJob = "Jobs";
 constexpr const char* kStore = "What it keeps";
 constexpr const char* kRun = "How it runs";
 
-constexpr std::array<ServeOption, 36> kOptions = {{
+constexpr std::array<ServeOption, 40> kOptions = {{
     {"http", "ADDR:PORT", kWhere, "HTTP; port 0 takes any free one; off = no HTTP.",
      "127.0.0.1:8080"},
     {"grpc", "ADDR:PORT", kWhere, "gRPC; likewise.", "127.0.0.1:8081"},
@@ -64,6 +65,22 @@ constexpr std::array<ServeOption, 36> kOptions = {{
      "Models, jobs and results, made if it is missing. Without it the\n"
      "service keeps nothing.",
      ""},
+    {"database", "URL", kStore,
+     "postgresql://[USER@]HOST[:PORT]/NAME: any number of `strata serve`\n"
+     "and `strata worker` share it, and data, which is then a folder they\n"
+     "all see.",
+     "", "SQLite in data, for one process"},
+    {"database-password-file", "FILE", kStore,
+     "Its first line is the password. Without it libpq's own ways:\n"
+     "PGPASSFILE, PGPASSWORD.",
+     ""},
+    {"lease", "SECONDS", kStore,
+     "With database: the jobs of a process that gave no sign of life for so\n"
+     "long run elsewhere. 2 to 3600.",
+     "30"},
+    {"max-attempts", "N", kStore,
+     "A job that was begun so often and never ended has failed. 1 to 1000.", "",
+     "20, with database 3"},
     {"models", "DIR", kStore, "Meshes to offer, read only, by their names in it. Needs data.", ""},
     {"batches", "DIR", kStore, "Where batches over models keep their outputs.", "",
      "the folder batches in data"},
@@ -83,5 +100,15 @@ constexpr std::array<ServeOption, 36> kOptions = {{
 }  // namespace
 
 std::span<const ServeOption> ServeOptions() { return kOptions; }
+
+bool IsWorkerOption(std::string_view name) {
+  constexpr std::array<std::string_view, 20> kNames = {
+      "http",        "jobs",       "memory",      "job-memory",
+      "job-threads", "job-time",   "result-size", "isolate",
+      "data",        "database",   "lease",       "max-attempts",
+      "models",      "model-disk", "result-disk", "database-password-file",
+      "scratch",     "log-format", "log-level",   "drain-timeout"};
+  return std::ranges::find(kNames, name) != kNames.end();
+}
 
 }  // namespace strata::server

@@ -5,6 +5,7 @@
 #include <map>
 #include <span>
 #include <string>
+#include <string_view>
 
 namespace strata::server {
 
@@ -24,6 +25,9 @@ struct ServeOption {
 
 /// In the order of the help. The rows live as long as the program.
 std::span<const ServeOption> ServeOptions();
+
+/// Whether `strata worker` has it too.
+bool IsWorkerOption(std::string_view name);
 
 /// Name → text of the options that were given, the command line's before the file's.
 using ServeTexts = std::map<std::string, std::string>;

@@ -6,6 +6,7 @@
 #include "server/http/openapi.h"
 #include "server/http/router.h"
 #include "server/http/viewer_files.h"
+#include "server/service/stored_service.h"
 
 namespace strata::server {
 namespace {
@@ -20,6 +21,11 @@ void Livez(Service&, Exchange& exchange, const std::string&) {
 void Readyz(Service& service, Exchange& exchange, const std::string&) {
   if (!service.ready()) {
     return exchange.RespondProblem(ProblemOf(Refusal::kUnavailable, "shutting down", 10));
+  }
+  if (const auto stored = service.stored()) {
+    if (const auto ready = (*stored)->CheckReady(); !ready) {
+      return exchange.RespondProblem(ready.error());
+    }
   }
   Livez(service, exchange, {});
 }

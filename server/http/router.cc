@@ -38,9 +38,14 @@ struct Found {
   const char* endpoint = "none";
 };
 
-Found Find(std::string_view method, const std::string& path) {
+bool IsProbe(std::string_view path) {
+  return path == "/livez" || path == "/readyz" || path == "/metrics";
+}
+
+Found Find(std::string_view method, const std::string& path, bool probes_alone) {
   Found found;
   for (const Route& route : Routes()) {
+    if (probes_alone && !IsProbe(route.path)) continue;
     auto parameter = Match(route.path, path);
     if (!parameter) continue;
     found.endpoint = route.path;
@@ -71,7 +76,7 @@ void RespondUnrouted(const Found& found, Exchange& exchange) {
 
 Routed Dispatch(Service& service, Exchange& exchange) {
   Routed routed;
-  const Found found = Find(exchange.method(), exchange.target().path);
+  const Found found = Find(exchange.method(), exchange.target().path, service.probes_alone());
   routed.endpoint = found.endpoint;
   if (!found.route) {
     RespondUnrouted(found, exchange);

@@ -24,6 +24,7 @@ std::vector<CommandText> AllCommands() {
   std::vector<CommandText> all = DescribeCommands();
 #ifdef STRATA_SERVICE
   all.push_back(DescribeServe());
+  all.push_back(DescribeServe(ServeMode::kWorker));
   for (CommandText& each : DescribeServiceTools()) all.push_back(std::move(each));
   for (CommandText& each : DescribeBatchCommands()) all.push_back(std::move(each));
 #endif

@@ -3,9 +3,21 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
+#include "server/store/database.h"
+
 namespace strata::server {
+namespace {
+
+constexpr int kDatabaseRetryAfter = 5;  // Seconds: about what reconnecting takes.
+
+}  // namespace
 
 Problem ProblemOf(const Error& error) {
+  if (IsDatabaseAway(error)) {
+    Problem problem = ProblemOf(Refusal::kUnavailable, error.message, kDatabaseRetryAfter);
+    problem.code = error.code;
+    return problem;
+  }
   const ExitCode& row = ExitCodeOf(error.code);
   return {row.http_status, row.grpc_status, row.type, row.meaning, error.message, 0, error.code};
 }

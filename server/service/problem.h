@@ -26,6 +26,7 @@ struct Problem {
 template <class T>
 using Answer = tl::expected<T, Problem>;
 
+/// Of an error of a database that is away (IsDatabaseAway): kUnavailable, with its code.
 Problem ProblemOf(const Error& error);
 Problem ProblemOf(Refusal refusal, std::string detail, int retry_after_s = 0);
 

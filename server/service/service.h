@@ -114,6 +114,9 @@ class Service {
 
   /// Whether new requests are taken.
   bool ready() const { return !draining_; }
+  /// From now on HTTP answers for health and figures, and nothing else. Before it is shared.
+  void AnswerProbesAlone() { probes_alone_ = true; }
+  bool probes_alone() const { return probes_alone_; }
   std::uint32_t requests_in_flight() const { return in_flight_; }
   /// From now on Enter refuses.
   void Drain() { draining_ = true; }
@@ -131,6 +134,7 @@ class Service {
   Admission admission_;
   StoredService* stored_ = nullptr;
   BatchService* batches_ = nullptr;
+  bool probes_alone_ = false;
   std::atomic<std::uint32_t> in_flight_{0};
   std::atomic<bool> draining_{false}, cancelled_{false};
 };

@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "server/service/canonical_options.h"
+#include "server/service/log.h"
 #include "server/service/stored_messages.h"
 #include "server/service/stored_results.h"
 #include "server/service/stored_service.h"
@@ -10,6 +11,9 @@ namespace strata::server {
 namespace {
 
 constexpr std::chrono::milliseconds kTick{50};
+constexpr int kForgottenTicks = 200;
+constexpr std::chrono::milliseconds kBeatEvery{500};
+constexpr std::chrono::milliseconds kAwayPause{200};
 
 JobQuery QueryOf(const v1::ListJobsRequest& request) {
   JobQuery query;
@@ -81,14 +85,15 @@ Answer<v1::Job> StoredService::CancelJob(const std::string& id) {
 Answer<v1::Job> StoredService::WaitJob(const std::string& id, std::chrono::milliseconds timeout,
                                        const std::function<bool()>& gone) {
   const auto deadline = std::chrono::steady_clock::now() + timeout;
+  const auto following = store_->jobs().Subscribe(id);
+  if (!following) return Refuse(following.error());
+  JobEvent latest;
   while (true) {
     const auto left =
         std::chrono::ceil<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
-    const auto job = store_->jobs().WaitForEnd(id, std::clamp(left, {}, kTick));
-    if (!job) return Refuse(job.error());
-    if (IsFinished(job->state) || left <= kTick || gone() || service_.cancelled()) {
-      return MessageOf(*job);
-    }
+    if (const JobEvent event = (*following)->Next(std::clamp(left, {}, kTick))) latest = event;
+    const bool over = (*following)->ended() || left <= kTick || gone() || service_.cancelled();
+    if (over && latest) return MessageOf(*latest);
   }
 }
 
@@ -99,16 +104,16 @@ Answer<void> StoredService::WatchJob(const v1::WatchJobRequest& request,
   if (!following) return Refuse(following.error());
   JobSubscription& events = **following;
   std::uint64_t told = request.after_sequence();
+  int idle = 0;
   while (!events.ended()) {
-    JobEvent event = events.Next(kTick);
+    const JobEvent event = events.Next(kTick);
     if (gone() || service_.cancelled()) return {};
     if (!event) {
-      // It had ended before, or ends just now, and its last event is on the way.
+      // It may have been forgotten, its last event with it.
+      if (++idle % kForgottenTicks != 0) continue;
       const auto job = store_->jobs().Get(request.id());
-      if (!job) return {};
-      if (!IsFinished(job->state)) continue;
-      if (job->sequence <= told) return {};
-      event = std::make_shared<const Job>(*job);
+      if (!job && job.error().code == ErrorCode::kNotFound) return {};
+      continue;
     }
     if (event->sequence <= told) continue;
     told = event->sequence;
@@ -139,42 +144,68 @@ Answer<Sampled> StoredService::OpenResult(const std::string& id) {
 // --- Working them off ----------------------------------------------------------------------------
 
 void StoredService::RunJobs() {
+  JobStore& jobs = store_->jobs();
   while (!stopping_) {
+    // Before the look: what comes after it ends the wait.
+    const std::uint64_t seen = jobs.arrivals();
+    Result<std::optional<JobStore::Claimed>> claimed = std::nullopt;
+    if (claiming_) claimed = jobs.Claim(owner_);
+    if (claimed && *claimed) {
+      ++running_;
+      RunClaimed(**claimed);
+      --running_;
+      continue;
+    }
     // Bounded, so that the end of the service is noticed.
-    if (!store_->jobs().WaitForQueued(std::chrono::milliseconds(200)) || stopping_) continue;
-    const auto claimed = store_->jobs().Claim("serve");
-    if (claimed && *claimed) RunClaimed(**claimed);
+    for (auto waited = kAwayPause; jobs.arrivals() == seen && !stopping_; waited += kAwayPause) {
+      jobs.WaitForArrival(seen, kAwayPause);
+      if (!claimed && waited >= 5 * kAwayPause) break;  // The look failed: once more.
+    }
   }
 }
 
+void StoredService::Beat(const JobClaim& claim, const v1::Progress& latest, Fate& fate) {
+  const auto begun = std::chrono::steady_clock::now();
+  const auto goes_on = store_->jobs().Heartbeat(claim, ProgressOf(latest));
+  if (goes_on) {
+    fate.lease_end = begun + lease_;
+    fate.cancelled = !*goes_on;
+    return;
+  }
+  const ErrorCode code = goes_on.error().code;
+  fate.lost = code == ErrorCode::kConflict || code == ErrorCode::kNotFound ||
+              std::chrono::steady_clock::now() >= fate.lease_end;
+}
+
 void StoredService::RunClaimed(const JobStore::Claimed& claimed) {
-  JobStore& jobs = store_->jobs();
   const Job& job = claimed.job;
   v1::Progress latest;
-  bool cancelled = false, lost = false;
+  Fate fate;
+  fate.lease_end = std::chrono::steady_clock::now() + lease_;
   auto beat = std::chrono::steady_clock::now();
   JobWatch watch;
   watch.progress = [&latest](const v1::Progress& progress) { latest = progress; };
   watch.gone = [&] {
     if (std::chrono::steady_clock::now() >= beat) {
-      beat = std::chrono::steady_clock::now() + std::chrono::milliseconds(500);
-      const auto goes_on = jobs.Heartbeat(claimed.claim, ProgressOf(latest));
-      lost = !goes_on && goes_on.error().code == ErrorCode::kConflict;
-      cancelled = goes_on && !*goes_on;
+      Beat(claimed.claim, latest, fate);
+      beat = std::chrono::steady_clock::now() + std::min(kBeatEvery, lease_ / 4);
     }
-    return cancelled || lost || stopping_;
+    return fate.cancelled || fate.lost || stopping_;
   };
-  watch.checkpoint_folder = checkpoints_->folder();
-  watch.checkpoint_key = checkpoints_->KeyOf(job);
-  const bool goes_on = checkpoints_->Has(watch.checkpoint_key);
+  if (checkpoints_) {
+    watch.checkpoint_folder = checkpoints_->folder();
+    watch.checkpoint_key = checkpoints_->KeyOf(job);
+  }
+  const bool goes_on = checkpoints_ && checkpoints_->Has(watch.checkpoint_key);
   auto outcome = RunAttempt(job, watch);
-  const bool wanted = !cancelled && !lost && !stopping_;
+  const bool wanted = !fate.cancelled && !fate.lost && !stopping_;
   if (!outcome && goes_on && wanted && MayBeDamage(outcome.error().code)) {
     checkpoints_->Remove(watch.checkpoint_key);
     outcome = RunAttempt(job, watch);
   }
-  EndClaimed(claimed.claim, outcome, cancelled, lost);
-  const auto ended = jobs.Get(job.id);
+  EndClaimed(claimed.claim, outcome, fate);
+  if (!checkpoints_) return;
+  const auto ended = store_->jobs().Get(job.id);
   if (ended && IsFinished(ended->state)) checkpoints_->Remove(watch.checkpoint_key);
 }
 
@@ -187,27 +218,52 @@ Answer<Sampled> StoredService::RunAttempt(const Job& job, const JobWatch& watch)
 }
 
 void StoredService::EndClaimed(const JobClaim& claim, const Answer<Sampled>& outcome,
-                               bool cancelled, bool lost) {
+                               const Fate& fate) {
+  if (fate.lost) {
+    Log(LogLevel::kWarning, "lease_lost",
+        {{"job", claim.id}, {"attempt", static_cast<std::uint64_t>(claim.attempt)}});
+    return;  // Somebody else's by now. What was made goes as every blob that nothing refers to.
+  }
+  while (true) {
+    const auto ended = EndOnce(claim, outcome, fate);
+    if (ended) return;
+    const bool again = IsDatabaseAway(ended.error()) && !stopping_ &&
+                       std::chrono::steady_clock::now() < fate.lease_end;
+    if (!again) {
+      // The lease runs out, and the job runs again.
+      Log(LogLevel::kWarning, "job_not_ended",
+          {{"job", claim.id},
+           {"attempt", static_cast<std::uint64_t>(claim.attempt)},
+           {"reason", ended.error().message}});
+      return;
+    }
+    std::unique_lock lock(mutex_);
+    wake_.wait_for(lock, kAwayPause);
+  }
+}
+
+Result<void> StoredService::EndOnce(const JobClaim& claim, const Answer<Sampled>& outcome,
+                                    const Fate& fate) {
   JobStore& jobs = store_->jobs();
-  if (lost) return;  // Somebody else's by now.
+  const auto as_void = [](const Result<Job>& ended) {
+    return ended ? Result<void>() : Result<void>(Forward(ended));
+  };
   if (outcome) {
     const std::string& etag = outcome->content.etag;
     const auto pin = store_->blobs().Pin(etag.substr(1, etag.size() - 2));
+    if (!pin) return Forward(pin);
     JobResult result;
     result.media_type = outcome->content.media_type;
     result.summary = JsonOf(outcome->summary);
-    // Where this fails the lease runs out, and the job runs again.
-    if (pin) static_cast<void>(jobs.Succeed(claim, *pin, std::move(result)));
-    return;
+    return as_void(jobs.Succeed(claim, *pin, std::move(result)));
   }
   const Problem& problem = outcome.error();
-  if (cancelled) {
-    static_cast<void>(jobs.MarkCancelled(claim));
-  } else if (stopping_ || problem.code == ErrorCode::kCancelled) {
-    static_cast<void>(jobs.Release(claim));
-  } else {
-    static_cast<void>(jobs.MarkFailed(claim, {problem.code, problem.detail}));
+  if (fate.cancelled) return as_void(jobs.MarkCancelled(claim));
+  const bool away = problem.code == ErrorCode::kIo && problem.http_status == 503;
+  if (stopping_ || away || problem.code == ErrorCode::kCancelled) {
+    return as_void(jobs.Release(claim));
   }
+  return as_void(jobs.MarkFailed(claim, {problem.code, problem.detail}));
 }
 
 }  // namespace strata::server

@@ -52,6 +52,14 @@ v1::Job MessageOf(const Job& job) {
     static_cast<void>(FromJson(job.result->summary, *message.mutable_summary()));
     message.mutable_summary()->set_etag('"' + job.result->hash + '"');
   }
+  for (const JobAttempt& attempt : job.history) {
+    v1::Attempt& told = *message.add_history();
+    told.set_number(static_cast<std::uint32_t>(attempt.number));
+    told.set_owner(attempt.owner);
+    *told.mutable_started() = MessageOf(attempt.started);
+    if (attempt.ended) *told.mutable_ended() = MessageOf(*attempt.ended);
+    told.set_why(attempt.why);
+  }
   if (job.error) *message.mutable_error() = ToMessage(ProblemOf(*job.error), "");
   return message;
 }

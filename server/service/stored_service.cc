@@ -13,7 +13,7 @@ namespace strata::server {
 namespace {
 
 constexpr std::chrono::milliseconds kTick{50};
-constexpr std::chrono::seconds kMaintainEvery{5};
+constexpr std::chrono::milliseconds kMaintainEvery{5000};
 
 /// Copies a result into the store, hashed as it passes.
 Result<BlobPin> Keep(BlobStore& blobs, const Content& content) {
@@ -60,13 +60,15 @@ Content ContentOf(BlobReader blob, const std::string& media_type) {
 
 Result<std::unique_ptr<StoredService>> StoredService::Start(const StoreOptions& options,
                                                             Service& service) {
-  std::unique_ptr<StoredService> stored(new StoredService(service));
+  std::unique_ptr<StoredService> stored(new StoredService(options, service));
   auto store = Store::Open(options, stored->clock_);
   if (!store) return Forward(store);
   stored->store_ = *std::move(store);
-  auto checkpoints = JobCheckpoints::Open(*stored->store_);
-  if (!checkpoints) return Forward(checkpoints);
-  stored->checkpoints_ = *std::move(checkpoints);
+  if (!options.shared) {
+    auto checkpoints = JobCheckpoints::Open(*stored->store_);
+    if (!checkpoints) return Forward(checkpoints);
+    stored->checkpoints_ = *std::move(checkpoints);
+  }
   StoredService& self = *stored;
   for (std::uint32_t i = 0; i < service.limits().jobs.jobs; ++i) {
     self.threads_.emplace_back([&self] { self.RunJobs(); });
@@ -74,6 +76,17 @@ Result<std::unique_ptr<StoredService>> StoredService::Start(const StoreOptions& 
   self.threads_.emplace_back([&self] { self.Maintain(); });
   return stored;
 }
+
+StoredService::StoredService(const StoreOptions& options, Service& service)
+    : service_(service), owner_(ProcessName()), lease_(options.jobs.lease) {}
+
+Answer<void> StoredService::CheckReady() {
+  const auto checked = store_->Check();
+  if (!checked) return Refuse(Refusal::kUnavailable, checked.error().message, 5);
+  return {};
+}
+
+void StoredService::StopClaiming() { claiming_ = false; }
 
 StoredService::~StoredService() {
   {
@@ -85,11 +98,22 @@ StoredService::~StoredService() {
 }
 
 void StoredService::Maintain() {
+  // A process's own lease is renewed here.
+  const auto every = std::min(kMaintainEvery, lease_ / 4);
   std::unique_lock lock(mutex_);
-  while (!wake_.wait_for(lock, kMaintainEvery, [this] { return stopping_.load(); })) {
+  while (!wake_.wait_for(lock, every, [this] { return stopping_.load(); })) {
     lock.unlock();
-    if (const auto done = store_->Maintain(); !done) {
+    const auto done = store_->Maintain();
+    const bool away = !done && IsDatabaseAway(done.error());
+    if (!done && !(away && away_)) {
       Log(LogLevel::kWarning, "maintenance_failed", {{"reason", done.error().message}});
+    }
+    if (done && away_) Log(LogLevel::kInfo, "database_back", {});
+    away_ = away;
+    // What a newer Strata has migrated is not this one's to work on.
+    if (const auto checked = store_->Check();
+        !checked && checked.error().code == ErrorCode::kUnsupported) {
+      claiming_ = false;
     }
     lock.lock();
   }

@@ -25,13 +25,19 @@ namespace strata::server {
 class StoredService {
  public:
   /// Opens the folder and starts as many runners as jobs may run at a time. `service` must outlive
-  /// it. Errors: those of Store::Open.
+  /// it. Leases are options.jobs.lease. Errors: those of Store::Open.
   static Result<std::unique_ptr<StoredService>> Start(const StoreOptions& options,
                                                       Service& service);
   /// Puts running jobs back into the queue, for the next process.
   ~StoredService();
 
   Store& store() { return *store_; }
+  /// Refuses: kUnavailable when the database is away, or a newer Strata has migrated it.
+  Answer<void> CheckReady();
+  /// Runners begin no further job; those that run go on.
+  void StopClaiming();
+  /// Jobs of the queue that run here.
+  std::uint32_t running() const { return running_; }
 
   // --- Models ---
 
@@ -79,7 +85,7 @@ class StoredService {
   Answer<Sampled> OpenResult(const std::string& id);
 
  private:
-  explicit StoredService(Service& service) : service_(service) {}
+  StoredService(const StoreOptions& options, Service& service);
   Answer<Sampled> SampleOpened(const v1::SampleOptions& options, const OpenModel& model,
                                const JobWatch& watch);
   Answer<Sampled> Lead(const v1::SampleOptions& options, const OpenModel& model,
@@ -87,16 +93,29 @@ class StoredService {
   void RunJobs();
   void RunClaimed(const JobStore::Claimed& claimed);
   Answer<Sampled> RunAttempt(const Job& job, const JobWatch& watch);
-  void EndClaimed(const JobClaim& claim, const Answer<Sampled>& outcome, bool cancelled, bool lost);
+  /// What became of a claimed job while it ran.
+  struct Fate {
+    bool cancelled = false;  ///< Its client's wish.
+    bool lost = false;       ///< Somebody else's by now, or its lease has run out.
+    std::chrono::steady_clock::time_point lease_end;  ///< No later than the database sees it.
+  };
+  void Beat(const JobClaim& claim, const v1::Progress& latest, Fate& fate);
+  void EndClaimed(const JobClaim& claim, const Answer<Sampled>& outcome, const Fate& fate);
+  Result<void> EndOnce(const JobClaim& claim, const Answer<Sampled>& outcome, const Fate& fate);
   void Maintain();
 
   Service& service_;
   SystemClock clock_;
   std::unique_ptr<Store> store_;
+  /// Null in a shared store: a paused process may still have what its successor would go on from.
   std::unique_ptr<JobCheckpoints> checkpoints_;
   std::mutex mutex_;
   std::condition_variable wake_;
-  std::atomic<bool> stopping_{false};
+  std::atomic<bool> stopping_{false}, claiming_{true};
+  std::atomic<std::uint32_t> running_{0};
+  const std::string owner_;
+  const std::chrono::milliseconds lease_;
+  bool away_ = false;  // Of the maintaining thread: the log has been told.
   std::vector<std::thread> threads_;
 };
 

@@ -13,7 +13,7 @@
 namespace strata::server {
 
 /// The internal command with which the program starts itself again for its jobs.
-inline constexpr const char* kWorkerCommand = "worker";
+inline constexpr const char* kWorkerCommand = "run-job";
 
 /// The program's own binary as a worker (server/service/worker.h), in a process group of its own.
 /// It dies with the thread that started it. Threads: one.

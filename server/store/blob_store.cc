@@ -16,14 +16,20 @@ namespace {
 
 constexpr std::uint64_t kReserveStepBytes = 1 << 20;
 
-std::string InnerPath(const std::string& hash) { return hash.substr(0, 2) + "/" + hash.substr(2); }
-
 }  // namespace
 
+std::string BlobStore::FileOf(const std::string& hash, const std::string& suffix) {
+  return hash.substr(0, 2) + "/" + hash.substr(2) + (suffix.empty() ? "" : "." + suffix);
+}
+
 Result<std::unique_ptr<BlobStore>> BlobStore::Open(DataFolder& folder, Database& database,
+                                                   Membership& membership,
                                                    const BlobLimits& limits) {
-  std::unique_ptr<BlobStore> store(new BlobStore(folder, database, limits));
-  if (auto recovered = store->Recover(); !recovered) return Forward(recovered);
+  std::unique_ptr<BlobStore> store(new BlobStore(folder, database, membership, limits));
+  // Others are at work in a shared store: what Recover removes may be theirs.
+  auto recovered = store->shared_ ? store->RemoveLeftovers() : store->Recover();
+  if (recovered && store->shared_) recovered = store->CountBytes();
+  if (!recovered) return Forward(recovered);
   return store;
 }
 
@@ -40,7 +46,7 @@ Result<void> BlobStore::Recover() {
       known.insert(row.Text(0));
       budget(static_cast<BlobKind>(row.Int(2))).Add(size);
       // A row's file was durable before the row: what is missing was taken away from outside.
-      if (!HasFile(row.Text(0), size)) recovery_.damaged.push_back(row.Text(0));
+      if (!HasFile(row.Text(0), {size, {}, 0})) recovery_.damaged.push_back(row.Text(0));
     });
     if (!listed) return Forward(listed);
     if (auto committed = session->Commit(); !committed) return committed;
@@ -53,11 +59,11 @@ Result<void> BlobStore::Recover() {
   return swept;
 }
 
-bool BlobStore::HasFile(const std::string& hash, std::uint64_t size) const {
+bool BlobStore::HasFile(const std::string& hash, const Entry& entry) const {
   struct stat status;
-  const std::string path = InnerPath(hash);
+  const std::string path = FileOf(hash, entry.file);
   return fstatat(folder_.blobs().get(), path.c_str(), &status, AT_SYMLINK_NOFOLLOW) == 0 &&
-         S_ISREG(status.st_mode) && static_cast<std::uint64_t>(status.st_size) == size;
+         S_ISREG(status.st_mode) && static_cast<std::uint64_t>(status.st_size) == entry.size;
 }
 
 Result<void> BlobStore::SweepFolder(const std::string& prefix, const std::set<std::string>& known) {
@@ -73,6 +79,7 @@ Result<void> BlobStore::SweepFolder(const std::string& prefix, const std::set<st
 
 Result<void> BlobStore::Reserve(DiskShare& share, BlobKind kind, std::uint64_t bytes) {
   if (auto free = CheckFreeSpace(bytes); !free) return free;
+  if (shared_) (void)CountBytes();  // A count that is old is better than none.
   while (!share.Grow(bytes)) {
     const bool may_evict = kind == BlobKind::kResult && make_room_;
     if (!may_evict || bytes > budget(kind).limit() || !make_room_(bytes)) {
@@ -106,7 +113,7 @@ Result<BlobWriter> BlobStore::NewBlob(BlobKind kind, std::optional<std::uint64_t
   if (auto reserved = Reserve(writer.share_, kind, size.value_or(0)); !reserved) {
     return Forward(reserved);
   }
-  writer.name_ = RandomId();
+  writer.name_ = membership_.NewName();
   const int flags = O_RDWR | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC;
   writer.fd_ = Fd(openat(folder_.incoming().get(), writer.name_.c_str(), flags, 0600));
   if (!writer.fd_) return FailSystem("incoming/" + writer.name_, "cannot be made", errno);
@@ -180,24 +187,29 @@ Result<BlobPin> BlobStore::Import(const std::string& name, BlobKind kind) {
   return pin;
 }
 
-Result<bool> BlobStore::Knows(const std::string& hash) {
-  bool known = false;
+Result<std::optional<BlobStore::Entry>> BlobStore::Find(const std::string& hash) {
+  std::optional<Entry> entry;
   auto asked = database_.Read().Query(
-      "SELECT 1 FROM blobs WHERE hash = ?", [&](const Row&) { known = true; }, hash);
+      "SELECT size, file, touched FROM blobs WHERE hash = ?",
+      [&](const Row& row) {
+        entry = Entry{static_cast<std::uint64_t>(row.Int(0)), row.Text(1), row.Int(2)};
+      },
+      hash);
   if (!asked) return Forward(asked);
-  return known;
+  return entry;
 }
 
 Result<BlobPin> BlobStore::Adopt(const Adoption& file, DiskShare& share) {
+  if (shared_) return AdoptShared(file, share);
   const std::lock_guard lock(mutex_);
-  const auto known = Knows(file.hash);
+  const auto known = Find(file.hash);
   if (!known) return Forward(known);
-  if (!*known || !HasFile(file.hash, file.size)) {
-    if (auto linked = Link(file); !linked) return Forward(linked);
+  if (!*known || !HasFile(file.hash, {file.size, {}, 0})) {
+    if (auto linked = Link(file, {}); !linked) return Forward(linked);
   }
   if (!*known) {
     if (auto inserted = Insert(file, share); !inserted) {
-      unlinkat(folder_.blobs().get(), InnerPath(file.hash).c_str(), 0);
+      unlinkat(folder_.blobs().get(), FileOf(file.hash, {}).c_str(), 0);
       return Forward(inserted);
     }
   }
@@ -206,8 +218,8 @@ Result<BlobPin> BlobStore::Adopt(const Adoption& file, DiskShare& share) {
 
 // A link and not a rename: until the row is there, the file keeps the name it had, and an upload
 // that is cut short here can be finished again.
-Result<void> BlobStore::Link(const Adoption& file) {
-  const std::string prefix = file.hash.substr(0, 2), rest = file.hash.substr(2);
+Result<void> BlobStore::Link(const Adoption& file, const std::string& suffix) {
+  const std::string prefix = file.hash.substr(0, 2), rest = FileOf(file.hash, suffix).substr(3);
   const auto inner = OpenFolder(folder_.blobs().get(), prefix);
   if (!inner) return Forward(inner);
   const int from = file.folder.get();
@@ -236,34 +248,45 @@ Result<void> BlobStore::Insert(const Adoption& file, DiskShare& share) {
 }
 
 Result<BlobPin> BlobStore::Pin(const std::string& hash) {
-  const std::lock_guard lock(mutex_);
-  std::optional<std::int64_t> size;
-  auto asked = database_.Read().Query(
-      "SELECT size FROM blobs WHERE hash = ?", [&](const Row& row) { size = row.Int(0); }, hash);
-  if (!asked) return Forward(asked);
-  if (!size) return Fail(ErrorCode::kNotFound, "no content with SHA-256 " + hash);
-  return PinLocked(hash, static_cast<std::uint64_t>(*size));
+  auto pinned = PinEntry(hash);
+  if (!pinned) return Forward(pinned);
+  return std::move(pinned->first);
 }
 
-Result<BlobPin> BlobStore::PinLocked(const std::string& hash, std::uint64_t size) {
+Result<std::pair<BlobPin, std::string>> BlobStore::PinEntry(const std::string& hash) {
+  const std::lock_guard lock(mutex_);
+  const auto entry = Find(hash);
+  if (!entry) return Forward(entry);
+  if (shared_ && *entry) {
+    const auto touched = Touch(hash, (*entry)->touched);
+    if (!touched) return Forward(touched);
+    if (!*touched) return Fail(ErrorCode::kNotFound, "no content with SHA-256 " + hash);
+  }
+  if (!*entry) return Fail(ErrorCode::kNotFound, "no content with SHA-256 " + hash);
+  return std::pair(PinLocked(hash, (*entry)->size), (*entry)->file);
+}
+
+BlobPin BlobStore::PinLocked(const std::string& hash, std::uint64_t size) {
   ++pins_[hash];
   return BlobPin(this, hash, size);
 }
 
 Result<BlobReader> BlobStore::OpenBlob(const std::string& hash) {
-  auto pin = Pin(hash);
-  if (!pin) return Forward(pin);
-  Fd fd(openat(folder_.blobs().get(), InnerPath(hash).c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC));
+  auto pinned = PinEntry(hash);
+  if (!pinned) return Forward(pinned);
+  BlobPin pin = std::move(pinned->first);
+  const std::string file = FileOf(hash, pinned->second);
+  Fd fd(openat(folder_.blobs().get(), file.c_str(), O_RDONLY | O_NOFOLLOW | O_CLOEXEC));
   if (!fd) {
     return Fail(ErrorCode::kIo, PathOf(hash) + ": cannot be opened: " + io::SystemReason(errno));
   }
   const auto size = RegularFileSize(fd.get(), PathOf(hash));
   if (!size) return Forward(size);
-  if (*size != pin->size()) {
+  if (*size != pin.size()) {
     return Fail(ErrorCode::kIo, PathOf(hash) + ": damaged: " + std::to_string(*size) +
-                                    " bytes found, expected " + std::to_string(pin->size()));
+                                    " bytes found, expected " + std::to_string(pin.size()));
   }
-  return BlobReader{std::move(*pin), std::move(fd)};
+  return BlobReader{std::move(pin), std::move(fd)};
 }
 
 bool BlobStore::IsPinned(const std::string& hash) const {
@@ -297,6 +320,7 @@ Result<void> BlobStore::CollectAll() {
 }
 
 void BlobStore::CollectLocked(const std::string& hash) {
+  if (shared_) return CollectShared(hash);
   static const std::string kFind =
       std::string("SELECT size, kind FROM blobs WHERE hash = ? AND ") + kUnreferenced;
   std::optional<std::pair<std::uint64_t, BlobKind>> found;
@@ -309,7 +333,7 @@ void BlobStore::CollectLocked(const std::string& hash) {
     // Foreign keys refuse this if a reference came after all.
     if (!session.Run("DELETE FROM blobs WHERE hash = ?", hash)) return;
   }
-  unlinkat(folder_.blobs().get(), InnerPath(hash).c_str(), 0);
+  unlinkat(folder_.blobs().get(), FileOf(hash, {}).c_str(), 0);
   budget(found->second).Remove(found->first);
 }
 

@@ -18,6 +18,7 @@
 #include "server/store/data_folder.h"
 #include "server/store/database.h"
 #include "server/store/disk_budget.h"
+#include "server/store/membership.h"
 
 namespace strata::server {
 
@@ -29,6 +30,10 @@ struct BlobLimits {
   std::uint64_t result_bytes = std::uint64_t{16} << 30;  ///< Results, cached or of jobs.
   /// What new content leaves free on the disk, so that the database can still be written to.
   std::uint64_t keep_free_bytes = std::uint64_t{64} << 20;
+  /// In a shared store: how long a blob that nothing refers to stays after it was last pinned, by
+  /// whichever process. Longer than a pin lasts before the database refers to its blob; should one
+  /// last longer after all, the reference is refused, not broken.
+  Milliseconds grace = std::chrono::minutes(10);
 };
 
 class BlobStore;
@@ -108,6 +113,11 @@ struct BlobRecovery {
 
 /// The blobs of a data folder.
 ///
+/// Where processes share the folder, each blob's file has a name of its own (Membership::NewName),
+/// which its row holds: two that store the same content never touch one file, and a process that
+/// was declared dead cannot commit a row any more, so its files without a row are leftovers for
+/// certain.
+///
 /// A blob's file is whole and durable before its row is, and its row is gone before its file: after
 /// a crash at any point there is no row without its file, and a file without a row is removed by
 /// the next Open. Threads: any. Locks are taken in the order blobs, database, budget.
@@ -116,7 +126,7 @@ class BlobStore {
   /// Removes what no row names and what nothing refers to. `folder` and `database` (migrated) must
   /// outlive it. Errors: kIo, kCorruptInput.
   static Result<std::unique_ptr<BlobStore>> Open(DataFolder& folder, Database& database,
-                                                 const BlobLimits& limits);
+                                                 Membership& membership, const BlobLimits& limits);
 
   /// With `size` known, space is reserved at once: kOverBudget comes before anything is written.
   Result<BlobWriter> NewBlob(BlobKind kind, std::optional<std::uint64_t> size = std::nullopt);
@@ -145,6 +155,13 @@ class BlobStore {
   void Collect(const std::string& hash);
   /// Collect for every blob: what a failure (a full disk) kept from being collected.
   Result<void> CollectAll();
+  /// In a shared store: removes the files that dead processes left and no row names, in all
+  /// folders. Reads every folder. Errors: kIo.
+  Result<void> RemoveLeftovers();
+  /// In a shared store: counts anew what is on the disk, for the budgets. Errors: kIo.
+  Result<void> CountBytes();
+  Membership& membership() { return membership_; }
+  Milliseconds grace() const { return grace_; }
 
   DiskBudget& budget(BlobKind kind) { return kind == BlobKind::kModel ? models_ : results_; }
   /// Grows `share` by `bytes` of `kind`; asks the room maker when there is no room.
@@ -166,26 +183,46 @@ class BlobStore {
  private:
   friend class BlobPin;
   friend class BlobWriter;
-  BlobStore(DataFolder& folder, Database& database, const BlobLimits& limits)
+  BlobStore(DataFolder& folder, Database& database, Membership& membership,
+            const BlobLimits& limits)
       : folder_(folder),
         database_(database),
+        membership_(membership),
+        shared_(database.shared()),
+        grace_(limits.grace),
         keep_free_bytes_(limits.keep_free_bytes),
         models_("models", limits.model_bytes),
         results_("results", limits.result_bytes) {}
 
   Result<void> Recover();
   Result<void> SweepFolder(const std::string& prefix, const std::set<std::string>& known);
-  Result<bool> Knows(const std::string& hash);
-  bool HasFile(const std::string& hash, std::uint64_t size) const;
+  /// What a row says of its blob.
+  struct Entry {
+    std::uint64_t size = 0;
+    std::string file;  ///< What its file's name ends with in a shared store; "" otherwise.
+    std::int64_t touched = 0;
+  };
+  Result<std::optional<Entry>> Find(const std::string& hash);
+  bool HasFile(const std::string& hash, const Entry& entry) const;
+  static std::string FileOf(const std::string& hash, const std::string& suffix);
+  Result<BlobPin> AdoptShared(const Adoption& file, DiskShare& share);
+  Result<std::string> InsertShared(const Adoption& file, const std::string& suffix,
+                                   const std::string& damaged);
+  Result<bool> Touch(const std::string& hash, std::int64_t touched);
+  void CollectShared(const std::string& hash);
   Result<void> CheckFreeSpace(std::uint64_t bytes) const;
-  Result<void> Link(const Adoption& file);
+  Result<void> Link(const Adoption& file, const std::string& suffix);
   Result<void> Insert(const Adoption& file, DiskShare& share);
-  Result<BlobPin> PinLocked(const std::string& hash, std::uint64_t size);
+  Result<std::pair<BlobPin, std::string>> PinEntry(const std::string& hash);
+  BlobPin PinLocked(const std::string& hash, std::uint64_t size);
   void Unpin(const std::string& hash);
   void CollectLocked(const std::string& hash);
 
   DataFolder& folder_;
   Database& database_;
+  Membership& membership_;
+  const bool shared_;
+  const Milliseconds grace_;
   std::uint64_t keep_free_bytes_;
   DiskBudget models_, results_;
   std::function<bool(std::uint64_t)> make_room_;

@@ -1,4 +1,4 @@
-// The folder that a service keeps its state in (--data DIR), owned by one process at a time.
+// The folder that a service keeps its state in (--data DIR): of one process, or shared by several.
 #pragma once
 
 #include <memory>
@@ -11,11 +11,15 @@ namespace strata::server {
 
 /// What lies in it:
 ///
-///     lock        flock'ed by the process that owns the folder
+///     lock        flock'ed by the process that owns the folder; shared, by those that share it
+///     store-id    of a shared folder: which database it belongs to
 ///     strata.db   SQLite, with its -wal and -shm
 ///     blobs/ab/…  files named by the SHA-256 of their content: 2 digits, then 62
 ///     incoming/   files being written; emptied at the start
 ///     uploads/ID  the bytes of unfinished resumable uploads
+///
+/// In a shared folder a file's name tells who made it (Membership::NewName): blobs/ab/….NAME,
+/// incoming/NAME, uploads/NAME. There is no strata.db.
 ///
 /// Threads: any; nothing changes after Open.
 class DataFolder {
@@ -23,6 +27,11 @@ class DataFolder {
   /// Makes what is missing (mode 0700), takes the lock, empties incoming/.
   /// Errors: kConflict when a living process has the lock; kIo.
   static Result<std::unique_ptr<DataFolder>> Open(const std::string& path);
+  /// The same for the folder of the shared store `id`, which other processes use as well; nothing
+  /// is emptied. `known`: the database has such a folder already, so one without its id is another.
+  /// Errors: kConflict for the folder of another store, or of a process that keeps SQLite in it.
+  static Result<std::unique_ptr<DataFolder>> OpenShared(const std::string& path,
+                                                        const std::string& id, bool known);
 
   const std::string& path() const { return path_; }
   std::string database_path() const { return path_ + "/strata.db"; }
@@ -36,7 +45,9 @@ class DataFolder {
 
  private:
   DataFolder() = default;
-  Result<void> Lock();
+  Result<void> Lock(int operation);
+  Result<void> Begin(const std::string& path, int lock_operation);
+  Result<void> Claim(const std::string& id, bool known);
   Result<void> OpenInner();
 
   std::string path_;

@@ -24,8 +24,7 @@ class DiskShare {
   std::uint64_t bytes() const { return bytes_; }
   /// Takes `bytes` more; false, and nothing taken, when the budget does not have them.
   bool Grow(std::uint64_t bytes);
-  /// Leaves `bytes` of the share taken for good and gives the rest back.
-  /// Precondition: bytes <= bytes().
+  /// Gives the share back, and counts `bytes` as being on the disk from now on.
   void Keep(std::uint64_t bytes);
 
  private:
@@ -48,6 +47,8 @@ class DiskBudget {
   DiskShare TakeAnyway(std::uint64_t bytes);
   /// Counts what is on the disk already, over the limit too.
   void Add(std::uint64_t bytes);
+  /// Replaces the count of what is on the disk: other processes have changed it too.
+  void SetOnDisk(std::uint64_t bytes);
   /// Gives back what was kept or added.
   void Remove(std::uint64_t bytes);
 
@@ -59,11 +60,13 @@ class DiskBudget {
  private:
   friend class DiskShare;
   bool Take(std::uint64_t bytes);
+  void Return(std::uint64_t bytes);
+  void Settle(std::uint64_t share, std::uint64_t kept);
 
   std::string what_;
   std::uint64_t limit_;
   mutable std::mutex mutex_;
-  std::uint64_t used_ = 0;
+  std::uint64_t shares_ = 0, on_disk_ = 0;
 };
 
 }  // namespace strata::server

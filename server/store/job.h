@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "core/result.h"
 #include "server/store/clock.h"
@@ -42,6 +43,15 @@ struct JobResult {
   std::string summary;  ///< Opaque here.
 };
 
+/// One time that a job was claimed.
+struct JobAttempt {
+  std::int64_t number = 0;  ///< From 1 on.
+  std::string owner;
+  Timestamp started;
+  std::optional<Timestamp> ended;  ///< Absent while it runs.
+  std::string why;                 ///< Why it ended, for people: "succeeded", "its lease ran out".
+};
+
 struct Job {
   std::int64_t number = 0;  ///< In the order of creation.
   std::string id;           ///< 32 hex digits that nobody guesses.
@@ -58,6 +68,7 @@ struct Job {
   std::uint64_t sequence = 1;       ///< Grows with every change.
   std::optional<Error> error;       ///< If failed.
   std::optional<JobResult> result;  ///< If succeeded.
+  std::vector<JobAttempt> history;  ///< In order; empty in lists.
 };
 
 }  // namespace strata::server

@@ -1,5 +1,6 @@
 #include "server/store/job_events.h"
 
+#include <algorithm>
 #include <utility>
 
 namespace strata::server {
@@ -22,6 +23,10 @@ bool JobSubscription::ended() const {
 void JobSubscription::Push(const JobEvent& event) {
   {
     const std::lock_guard lock(mutex_);
+    const bool finishes = IsFinished(event->state);
+    if (finished_ || (event->sequence <= seen_ && !finishes)) return;
+    seen_ = std::max(seen_, event->sequence);
+    finished_ = finishes;
     const bool full = waiting_.size() >= kMaxWaiting;
     if (full && waiting_.back()->state == event->state) waiting_.pop_back();
     waiting_.push_back(event);
@@ -30,17 +35,42 @@ void JobSubscription::Push(const JobEvent& event) {
   if (on_event_) on_event_();
 }
 
+bool JobSubscription::Wants(std::uint64_t sequence) const {
+  const std::lock_guard lock(mutex_);
+  return !finished_ && sequence > seen_;
+}
+
 std::shared_ptr<JobSubscription> JobEvents::Subscribe(const std::string& id,
                                                       std::function<void()> on_event,
-                                                      const JobEvent& first) {
-  auto subscription = std::make_shared<JobSubscription>(std::move(on_event));
-  if (first) subscription->Push(first);
+                                                      std::uint64_t after) {
+  auto subscription = std::make_shared<JobSubscription>(std::move(on_event), after);
   const std::lock_guard lock(mutex_);
   auto& of_job = followers_[id];
   std::erase_if(of_job, [](const auto& follower) { return follower.expired(); });
-  if (!first || !IsFinished(first->state)) of_job.push_back(subscription);
-  if (of_job.empty()) followers_.erase(id);
+  of_job.push_back(subscription);
   return subscription;
+}
+
+bool JobEvents::Wants(const std::string& id, std::uint64_t sequence) {
+  const std::lock_guard lock(mutex_);
+  const auto found = followers_.find(id);
+  if (found == followers_.end()) return false;
+  for (const auto& follower : found->second) {
+    const auto living = follower.lock();
+    if (living && living->Wants(sequence)) return true;
+  }
+  return false;
+}
+
+std::vector<std::string> JobEvents::Followed() {
+  std::vector<std::string> ids;
+  const std::lock_guard lock(mutex_);
+  std::erase_if(followers_, [](const auto& entry) {
+    return std::ranges::all_of(entry.second,
+                               [](const auto& follower) { return follower.expired(); });
+  });
+  for (const auto& [id, followers] : followers_) ids.push_back(id);
+  return ids;
 }
 
 void JobEvents::Publish(const JobEvent& event) {

@@ -1,5 +1,9 @@
 #include "server/store/job_rows.h"
 
+#include <utf8cpp/utf8.h>
+
+#include <algorithm>
+
 #include "io/sha256.h"
 
 namespace strata::server {
@@ -29,6 +33,19 @@ void ReadOutcome(const Row& row, Job& job) {
   }
 }
 
+Result<void> ReadHistory(Session& session, Job& job) {
+  if (job.attempts == 0) return {};
+  auto asked = session.Query(
+      "SELECT attempt, owner, started, ended, why FROM attempts WHERE job = ? ORDER BY attempt",
+      [&](const Row& row) {
+        job.history.push_back(
+            {row.Int(0), row.Text(1), FromMillis(row.Int(2)), MaybeTime(row, 3), row.Text(4)});
+      },
+      job.number);
+  if (!asked) return Forward(asked);
+  return {};
+}
+
 Result<std::optional<Job>> FindWhere(Session& session, const std::string& condition,
                                      const auto&... values) {
   std::optional<Job> job;
@@ -36,7 +53,29 @@ Result<std::optional<Job>> FindWhere(Session& session, const std::string& condit
       "SELECT " + kJobColumns + " FROM jobs WHERE " + condition,
       [&](const Row& row) { job = ReadJob(row); }, values...);
   if (!asked) return Forward(asked);
+  if (job) {
+    if (auto read = ReadHistory(session, *job); !read) return Forward(read);
+  }
   return job;
+}
+
+// What the message of an error quotes may be any bytes; PostgreSQL takes UTF-8 alone.
+std::string ValidText(const std::string& text) {
+  std::string valid = utf8::replace_invalid(text);
+  std::ranges::replace(valid, '\0', ' ');
+  return valid;
+}
+
+Result<void> UpdateAttempt(Session& session, const Job& job) {
+  if (job.history.empty()) return {};
+  const JobAttempt& latest = job.history.back();
+  auto written = session.Run(
+      "INSERT INTO attempts (job, attempt, owner, started, ended, why) VALUES (?, ?, ?, ?, ?, ?)"
+      " ON CONFLICT (job, attempt) DO UPDATE SET ended = excluded.ended, why = excluded.why",
+      job.number, latest.number, latest.owner, ToMillis(latest.started), Millis(latest.ended),
+      ValidText(latest.why));
+  if (!written) return Forward(written);
+  return {};
 }
 
 }  // namespace
@@ -67,8 +106,29 @@ Job ReadJob(const Row& row) {
   return job;
 }
 
-Result<std::optional<Job>> FindJob(Session& session, const std::string& id) {
-  return FindWhere(session, "id = ?", id);
+Result<std::optional<Job>> FindJob(Session& session, const std::string& id,
+                                   const std::string& lock) {
+  return FindWhere(session, "id = ?" + lock, id);
+}
+
+Result<std::optional<Job>> FindQueued(Session& session, const std::string& lock) {
+  return FindWhere(session, "state = 0 ORDER BY number LIMIT 1" + lock);
+}
+
+Result<std::optional<Job>> BeatJob(Session& session, const JobBeat& beat) {
+  static const std::string kUpdate =
+      "UPDATE jobs SET stage = ?, done = ?, total = ?, lease_until = ?, sequence = sequence + 1"
+      " WHERE id = ? AND state = 1 AND attempts = ? AND lease_until > ? RETURNING " +
+      kJobColumns;
+  std::optional<Job> job;
+  auto updated = session.Query(
+      kUpdate, [&](const Row& row) { job = ReadJob(row); }, beat.progress.stage, beat.progress.done,
+      beat.progress.total, ToMillis(beat.lease_until), beat.id, beat.attempt, ToMillis(beat.now));
+  if (!updated) return Forward(updated);
+  if (job) {
+    if (auto read = ReadHistory(session, *job); !read) return Forward(read);
+  }
+  return job;
 }
 
 Result<std::optional<Job>> FindJobByKey(Session& session, const std::string& client,
@@ -106,11 +166,15 @@ Result<void> UpdateJob(Session& session, const Job& job) {
       Filled(job.owner), Millis(job.lease_until), std::int64_t{job.cancel_requested},
       job.progress.stage, static_cast<std::int64_t>(job.progress.done),
       static_cast<std::int64_t>(job.progress.total), static_cast<std::int64_t>(job.sequence),
-      error_code, job.error ? std::optional<std::string_view>(job.error->message) : std::nullopt,
+      error_code, job.error ? std::optional(ValidText(job.error->message)) : std::nullopt,
       Filled(result.hash), result_size, Filled(result.media_type), Filled(result.summary),
       std::int64_t{finished}, job.number);
   if (!updated) return Forward(updated);
-  return {};
+  return UpdateAttempt(session, job);
+}
+
+tl::unexpected<Error> FailNoSuchJob() {
+  return Fail(ErrorCode::kNotFound, "job: there is none of this name");
 }
 
 std::string RequestHash(const JobRequest& request) {

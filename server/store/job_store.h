@@ -23,7 +23,7 @@ struct JobLimits {
   std::uint64_t max_queued = 1000;
   /// A job claimed that often without an end has failed: it may be what kills its processes.
   /// 0: never.
-  std::int64_t max_attempts = 20;
+  std::int64_t max_attempts = 20;  // Where processes are many, 3 are enough: see serve_config.cc.
   Milliseconds lease = std::chrono::seconds(30);  ///< How long a claim lasts without a Heartbeat.
 };
 
@@ -64,8 +64,9 @@ class JobStore {
     BlobStore& blobs;
     const Clock& clock;
   };
-  /// The folder has one process, so jobs that run by its account run no more: they are queued
-  /// again, or cancelled where that was asked for. Everything outlives the store. Errors: kIo.
+  /// Over SQLite there is one process, so jobs that run by the database's account run no more: they
+  /// are queued again, or cancelled where that was asked for. In a shared store they are other
+  /// processes', until their leases run out. Everything outlives the store. Errors: kIo.
   static Result<std::unique_ptr<JobStore>> Open(const Parts& parts, const JobLimits& limits);
 
   /// With an idempotency key that the client has used before: that job, if model and options are
@@ -89,6 +90,11 @@ class JobStore {
   Result<std::optional<Claimed>> Claim(const std::string& owner);
   /// Waits up to `timeout` until a job is queued. Whether one is.
   bool WaitForQueued(Milliseconds timeout);
+  /// How often jobs were put into the queue, as far as this process has heard. For a worker that
+  /// found nothing to claim: it waits for the next time.
+  std::uint64_t arrivals() const;
+  /// Waits up to `timeout` until arrivals() is another than `seen`.
+  void WaitForArrival(std::uint64_t seen, Milliseconds timeout);
 
   /// Extends the lease and tells followers of the progress. Once a second is often enough.
   /// Returns whether the job goes on; if not, it is to be ended with MarkCancelled.
@@ -118,32 +124,50 @@ class JobStore {
   /// Errors: kNotFound, kIo.
   Result<Job> WaitForEnd(const std::string& id, Milliseconds timeout);
 
+  /// In a shared store counted by the database; 0 when it is away.
   std::uint64_t queued() const;
   std::uint64_t running() const;
 
+  /// In a shared store: what its triggers tell (schema.cc).
+  void HearOfJob(const std::string& text);
+  void HearOfQueue();
+  /// Something may have been missed: tells followers how their jobs are, and wakes workers.
+  void Look();
+
  private:
-  using Change = std::function<Result<void>(Job&)>;
-  JobStore(const Parts& parts, const JobLimits& limits) : parts_(parts), limits_(limits) {}
+  using Change = std::function<Result<void>(Job& job, Timestamp now)>;
+  JobStore(const Parts& parts, const JobLimits& limits)
+      : parts_(parts), limits_(limits), shared_(parts.database.shared()) {}
 
   Result<void> CountStates();
   Result<CreatedJob> CreateLocked(const JobRequest& request);
   Result<Job> Apply(const std::string& id, const Change& change);
   Result<Job> ApplyLocked(const std::string& id, const Change& change);
+  Result<void> Write(Session& session, Job& job, const Change& change, Timestamp now);
+  void Tell(JobState before, const Job& job);
+  Result<std::uint64_t> CountState(JobState state) const;
   Result<Job> End(const JobClaim& claim, const Change& change);
-  Result<std::size_t> RequeueWhere(const std::string& condition, std::int64_t value);
-  void Requeue(Job& job) const;
-  void Finish(Job& job, JobState state) const;
+  Result<std::size_t> RequeueLost(const std::string& why);
+  void Requeue(Job& job, Timestamp now, const std::string& why) const;
+  static void Finish(Job& job, JobState state, Timestamp now, const std::string& why);
   void Count(JobState from, JobState to);
-  Result<std::optional<std::string>> OldestQueued();
+
+  /// Held over each change and the telling of it, so that followers see every change. Taken before
+  /// the locks of blobs and database. In a shared store others change jobs meanwhile anyway, and
+  /// what comes late is dropped: there nobody waits for it.
+  std::unique_lock<std::mutex> LockChanges() {
+    return shared_ ? std::unique_lock<std::mutex>() : std::unique_lock(changes_);
+  }
 
   Parts parts_;
   JobLimits limits_;
+  const bool shared_;
   JobEvents events_;
-  // Held over each change and the telling of it, so that events come in the order of the changes.
-  // Taken before the locks of blobs and database.
-  mutable std::mutex mutex_;
+  std::mutex changes_;
+  mutable std::mutex mutex_;  // Guards what follows.
   std::condition_variable queued_came_;
-  std::uint64_t queued_ = 0, running_ = 0;
+  std::uint64_t queued_ = 0, running_ = 0;  // Of SQLite.
+  std::uint64_t arrivals_ = 0;
 };
 
 }  // namespace strata::server

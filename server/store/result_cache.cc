@@ -109,17 +109,74 @@ Result<CacheAnswer> ResultCache::Enter(const std::string& key) {
     answer.wait = flight;
     return answer;
   }
-  ++misses_;
+  const auto leads = TakeLead(key);
+  if (!leads) {
+    flights_.erase(key);
+    return Forward(leads);
+  }
   flight = std::make_shared<ResultWait>();
-  answer.lead.emplace(ResultLead(this, key));
+  if (*leads) {
+    ++misses_;
+    answer.lead.emplace(ResultLead(this, key));
+  } else {
+    ++waits_;
+    elsewhere_.insert(key);
+    answer.wait = flight;
+  }
   return answer;
 }
 
+// Whether this process computes it, among all. Its former lead, should it not have been ended, is
+// as good as a new one.
+Result<bool> ResultCache::TakeLead(const std::string& key) {
+  if (!parts_.database.shared()) return true;
+  const std::string mine = parts_.blobs.membership().id();
+  auto taken = parts_.database.Read().Run(
+      "INSERT INTO flights (key, process) SELECT ?1, id FROM processes WHERE id = ?2"
+      " ON CONFLICT (key) DO UPDATE SET process = excluded.process WHERE flights.process = ?2",
+      key, mine);
+  if (!taken) return Forward(taken);
+  return *taken == 1;
+}
+
+void ResultCache::HearOfFlight(const std::string& key) {
+  {
+    const std::lock_guard lock(flights_mutex_);
+    if (!elsewhere_.contains(key)) return;
+  }
+  EndWaits(key, std::nullopt);
+}
+
+void ResultCache::Look() {
+  std::set<std::string> waiting;
+  {
+    const std::lock_guard lock(flights_mutex_);
+    waiting = elsewhere_;
+  }
+  for (const std::string& key : waiting) {
+    bool flies = false;
+    auto asked = parts_.database.Read().Query(
+        "SELECT 1 FROM flights WHERE key = ?", [&](const Row&) { flies = true; }, key);
+    if (!asked) return;
+    if (!flies) HearOfFlight(key);
+  }
+}
+
 void ResultCache::EndFlight(const std::string& key, const std::optional<Error>& error) {
+  if (parts_.database.shared()) {
+    // Where this fails the process's next lead, or its end, takes the row away.
+    (void)parts_.database.Read().Run("DELETE FROM flights WHERE key = ? AND process = ?", key,
+                                     parts_.blobs.membership().id());
+  }
+  EndWaits(key, error);
+}
+
+void ResultCache::EndWaits(const std::string& key, const std::optional<Error>& error) {
   std::shared_ptr<ResultWait> flight;
   {
     const std::lock_guard lock(flights_mutex_);
     auto node = flights_.extract(key);
+    elsewhere_.erase(key);
     if (node.empty()) return;
     flight = std::move(node.mapped());
   }
@@ -172,13 +229,20 @@ Result<void> ResultCache::Flush() {
 
 Result<std::vector<ResultCache::Candidate>> ResultCache::Candidates() {
   std::vector<Candidate> all;
-  auto listed = parts_.database.Read().Query(
+  Session session = parts_.database.Read();
+  const auto now = session.Now();
+  if (!now) return Forward(now);
+  // In a shared store, what was touched a moment ago would keep its space for now.
+  const std::int64_t before =
+      parts_.database.shared() ? ToMillis(*now - parts_.blobs.grace()) : INT64_MAX;
+  auto listed = session.Query(
       "SELECT key, blob, size FROM results JOIN blobs ON blobs.hash = results.blob"
       " WHERE NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.result_blob = results.blob)"
-      " ORDER BY last_used",
+      " AND touched <= ? ORDER BY last_used",
       [&](const Row& row) {
         all.push_back({row.Text(0), row.Text(1), static_cast<std::uint64_t>(row.Int(2))});
-      });
+      },
+      before);
   if (!listed) return Forward(listed);
   return all;
 }

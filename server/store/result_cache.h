@@ -7,6 +7,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <unordered_map>
 #include <vector>
@@ -87,7 +88,9 @@ struct CacheCounts {
 };
 
 /// The result cache. It takes what disk the budget for results has; when space is wanted the least
-/// recently used results go, except for what is open or belongs to a job. Threads: any.
+/// recently used results go, except for what is open or belongs to a job. In a shared store one
+/// process leads a computation and the others wait (table `flights`); a process that dies loses its
+/// lead. Threads: any.
 class ResultCache {
  public:
   struct Parts {
@@ -111,6 +114,11 @@ class ResultCache {
   Result<void> Remove(const std::string& key);
   /// Writes down what was used when; a crash before makes the order of eviction older, no more.
   Result<void> Flush();
+
+  /// In a shared store: another process's computation of `key` has ended.
+  void HearOfFlight(const std::string& key);
+  /// Something may have been missed: ends the waits for computations that are no more.
+  void Look();
   CacheCounts counts() const { return {hits_, misses_, waits_, evictions_}; }
 
  private:
@@ -124,6 +132,8 @@ class ResultCache {
                      const std::string& summary);
   Result<std::vector<Candidate>> Candidates();
   void EndFlight(const std::string& key, const std::optional<Error>& error);
+  void EndWaits(const std::string& key, const std::optional<Error>& error);
+  Result<bool> TakeLead(const std::string& key);
   void Touch(const std::string& key);
   std::int64_t NextUse();
 
@@ -131,6 +141,7 @@ class ResultCache {
   std::atomic<std::uint64_t> hits_{0}, misses_{0}, waits_{0}, evictions_{0};
   std::mutex flights_mutex_;  // Taken before the locks of blobs and database.
   std::unordered_map<std::string, std::shared_ptr<ResultWait>> flights_;
+  std::set<std::string> elsewhere_;  // Those of flights_ that another process leads.
   std::mutex uses_mutex_;
   std::int64_t last_use_ = 0;                           // Counts uses: finer than any clock.
   std::unordered_map<std::string, std::int64_t> uses_;  // Not in the database yet.

@@ -25,23 +25,80 @@ Result<std::unique_ptr<Store>> Store::Open(const StoreOptions& options, const Cl
 }
 
 Result<void> Store::OpenFiles() {
-  if (auto opened = Take(DataFolder::Open(options_.data), folder_); !opened) return opened;
-  if (auto opened = Take(Database::Open(folder_->database_path()), database_); !opened) {
-    return opened;
+  if (options_.shared) {
+    if (auto opened = OpenShared(); !opened) return opened;
+  } else {
+    if (auto opened = Take(DataFolder::Open(options_.data), folder_); !opened) return opened;
+    auto opened = Take(Database::Open(folder_->database_path(), clock_), database_);
+    if (!opened) return opened;
+    if (auto migrated = Migrate(*database_); !migrated) return migrated;
   }
-  if (auto migrated = Migrate(*database_); !migrated) return migrated;
+  const Milliseconds lease = options_.shared ? options_.shared->lease : Milliseconds(0);
+  if (auto joined = Take(Membership::Join(*database_, lease), membership_); !joined) return joined;
   if (options_.models.empty()) return {};
   return Take(ModelRepository::Open(options_.models), repository_);
 }
 
+Result<void> Store::OpenShared() {
+  const PostgresOptions& postgres = options_.shared->postgres;
+  if (auto opened = Take(OpenPostgres(postgres), database_); !opened) return opened;
+  const auto store = MigrateShared(*database_, postgres.schema);
+  if (!store) return Forward(store);
+  auto opened = Take(DataFolder::OpenShared(options_.data, store->id, store->has_folder), folder_);
+  if (!opened || store->has_folder) return opened;
+  auto noted = database_->Read().Run("UPDATE meta SET folder = 1");
+  if (!noted) return Forward(noted);
+  return {};
+}
+
 Result<void> Store::OpenStores() {
-  if (auto o = Take(BlobStore::Open(*folder_, *database_, options_.blobs), blobs_); !o) return o;
+  if (auto o = Take(BlobStore::Open(*folder_, *database_, *membership_, options_.blobs), blobs_);
+      !o) {
+    return o;
+  }
   models_ = std::make_unique<ModelStore>(*blobs_, *database_, repository_.get(), clock_);
   const UploadStore::Parts uploads{*folder_, *database_, *blobs_, *models_, clock_};
   if (auto o = Take(UploadStore::Open(uploads, options_.uploads), uploads_); !o) return o;
   const JobStore::Parts jobs{*database_, *blobs_, clock_};
   if (auto o = Take(JobStore::Open(jobs, options_.jobs), jobs_); !o) return o;
-  return Take(ResultCache::Open({*database_, *blobs_, clock_}), results_);
+  if (auto o = Take(ResultCache::Open({*database_, *blobs_, clock_}), results_); !o) return o;
+  swept_ = std::chrono::steady_clock::now();
+  Listen();
+  return {};
+}
+
+void Store::Listen() {
+  Listening listening;
+  listening.told = [this](const std::string& channel, const std::string& text) {
+    if (channel == "jobs") jobs_->HearOfJob(text);
+    if (channel == "queue") jobs_->HearOfQueue();
+    if (channel == "uploads") uploads_->StopAppend(text);
+    if (channel == "flights") results_->HearOfFlight(text);
+  };
+  listening.look = [this] {
+    jobs_->Look();
+    results_->Look();
+  };
+  listener_ = database_->Listen(std::move(listening));
+}
+
+Result<void> Store::Check() {
+  if (options_.shared) return CheckShared(*database_);
+  auto asked = database_->Read().Query("SELECT 1", [](const Row&) {});
+  if (!asked) return Forward(asked);
+  return {};
+}
+
+// Every process sweeps: which one finds a dead one first does not matter.
+Result<void> Store::MaintainShared() {
+  constexpr auto kSweepEvery = std::chrono::minutes(10);
+  if (auto renewed = membership_->Renew(); !renewed) return renewed;
+  const auto expired = membership_->ExpireOthers();
+  if (!expired) return Forward(expired);
+  const auto now = std::chrono::steady_clock::now();
+  if (*expired == 0 && now - swept_ < kSweepEvery) return {};
+  swept_ = now;
+  return blobs_->RemoveLeftovers();
 }
 
 Result<void> Store::Maintain() {
@@ -49,6 +106,11 @@ Result<void> Store::Maintain() {
   const auto note = [&result](const auto& done) {
     if (!done && result) result = Forward(done);
   };
+  if (options_.shared) {
+    note(MaintainShared());
+    // The others would wait for the database in turn; they find it next time.
+    if (!result && IsDatabaseAway(result.error())) return result;
+  }
   note(uploads_->RemoveExpired());
   note(jobs_->ExpireLeases());
   note(jobs_->Purge(clock_.Now() - options_.job_retention));

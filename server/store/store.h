@@ -1,7 +1,9 @@
 // All that a service keeps, opened together.
 #pragma once
 
+#include <chrono>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "core/result.h"
@@ -10,15 +12,26 @@
 #include "server/store/data_folder.h"
 #include "server/store/database.h"
 #include "server/store/job_store.h"
+#include "server/store/membership.h"
 #include "server/store/model_repository.h"
 #include "server/store/model_store.h"
+#include "server/store/postgres.h"
 #include "server/store/result_cache.h"
 #include "server/store/upload_store.h"
 
 namespace strata::server {
 
+/// A database that several processes share.
+struct SharedOptions {
+  PostgresOptions postgres;
+  /// A process that has not renewed it for so long is dead to the others.
+  Milliseconds lease = std::chrono::seconds(30);
+};
+
 struct StoreOptions {
-  std::string data;    ///< --data DIR: made if it is missing.
+  std::string data;  ///< --data DIR: made if it is missing.
+  std::optional<SharedOptions>
+      shared;          ///< Absent: SQLite in `data`, which is this process's alone.
   std::string models;  ///< --models DIR: read-only; "" for none.
   BlobLimits blobs;
   UploadLimits uploads;
@@ -27,15 +40,15 @@ struct StoreOptions {
   Milliseconds job_retention = std::chrono::hours(24 * 7);
 };
 
-/// The stores of one data folder. Threads: any. Nothing that came from it may outlive it: pins,
-/// readers, writers, appends, leads.
+/// The stores of one data folder, this process's alone or shared. Threads: any. Nothing that came
+/// from it may outlive it: pins, readers, writers, appends, leads.
 class Store {
  public:
   /// Opens or makes the folder, brings the database up to date and mends what a crash left; jobs
   /// that were running are queued again. Takes as long as reading complete uploads that were not
   /// yet stored. `clock` must outlive the store. Errors: kConflict when another process has the
   /// folder; kUnsupported when a newer Strata wrote it; kNotFound (the models' folder);
-  /// kCorruptInput (the database), kIo.
+  /// kCorruptInput (the database), kIo; IsDatabaseAway.
   static Result<std::unique_ptr<Store>> Open(const StoreOptions& options, const Clock& clock);
 
   DataFolder& folder() { return *folder_; }
@@ -46,6 +59,10 @@ class Store {
   JobStore& jobs() { return *jobs_; }
   ResultCache& results() { return *results_; }
 
+  /// Whether the database answers and is one that this program may use. Errors: kUnsupported after
+  /// a newer Strata migrated it, kIo (IsDatabaseAway).
+  Result<void> Check();
+
   /// What time brings: expired uploads and old jobs go, jobs whose lease has run out are queued
   /// again, what a full disk kept from being collected is collected. To be called every few
   /// seconds. Errors: kIo; the rest is done all the same.
@@ -54,6 +71,9 @@ class Store {
  private:
   Store(const StoreOptions& options, const Clock& clock) : options_(options), clock_(clock) {}
   Result<void> OpenFiles();
+  Result<void> OpenShared();
+  void Listen();
+  Result<void> MaintainShared();
   Result<void> OpenStores();
 
   StoreOptions options_;
@@ -61,12 +81,15 @@ class Store {
   // In the order of their use: each goes before what it uses.
   std::unique_ptr<DataFolder> folder_;
   std::unique_ptr<Database> database_;
+  std::unique_ptr<Membership> membership_;
   std::unique_ptr<BlobStore> blobs_;
   std::unique_ptr<ModelRepository> repository_;
   std::unique_ptr<ModelStore> models_;
   std::unique_ptr<UploadStore> uploads_;
   std::unique_ptr<JobStore> jobs_;
   std::unique_ptr<ResultCache> results_;
+  std::unique_ptr<Listener> listener_;  // The first to end: it calls the others.
+  std::chrono::steady_clock::time_point swept_;
 };
 
 }  // namespace strata::server

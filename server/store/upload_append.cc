@@ -1,6 +1,7 @@
 #include <fcntl.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <utility>
 
@@ -35,7 +36,7 @@ Result<UploadAppend> UploadStore::Append(const std::string& id, std::uint64_t of
       return Fail(ErrorCode::kConflict, "upload " + id + ": offset " + std::to_string(offset) +
                                             " found, expected " + std::to_string(info.offset));
     }
-    auto fd = OpenFile(id);
+    auto fd = OpenFile(info);
     if (!fd) return Forward(fd);
     append.fd_ = std::move(*fd);
     // Beyond the durable offset may lie what a failed append left.
@@ -77,7 +78,9 @@ Result<void> UploadAppend::CheckRoom(std::uint64_t bytes) {
                           std::to_string(bytes) + " bytes more found, expected at most " +
                           std::to_string(limit) + " in all");
   }
-  const std::uint64_t end = position_ + bytes, reserved = entry_->share.bytes();
+  // In a shared store the length that a row tells counts for it.
+  const std::uint64_t told = store_->shared_ ? info.length.value_or(0) : 0;
+  const std::uint64_t end = position_ + bytes, reserved = std::max(told, entry_->share.bytes());
   if (end <= reserved) return {};
   return store_->parts_.blobs.ReserveStep(entry_->share, BlobKind::kModel, end - reserved);
 }

@@ -4,11 +4,16 @@
 #include <atomic>
 #include <cstdint>
 #include <optional>
+#include <string>
 
 #include "io/sha256.h"
 #include "server/store/upload_store.h"
 
 namespace strata::server {
+
+/// The columns that ReadUpload expects, for a SELECT.
+extern const std::string kUploadColumns;
+UploadInfo ReadUpload(const Row& row);
 
 struct UploadAppend::Entry {
   UploadInfo info;

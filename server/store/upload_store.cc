@@ -17,7 +17,12 @@ namespace {
 
 constexpr std::size_t kMaxMetadataBytes = 4096;
 
-UploadInfo ReadRow(const Row& row) {
+}  // namespace
+
+const std::string kUploadColumns =
+    "id, model, metadata, length, \"offset\", created, expires, hash, file, holder";
+
+UploadInfo ReadUpload(const Row& row) {
   UploadInfo info;
   info.id = row.Text(0);
   info.model = row.Text(1);
@@ -27,8 +32,12 @@ UploadInfo ReadRow(const Row& row) {
   info.created = FromMillis(row.Int(5));
   info.expires = FromMillis(row.Int(6));
   info.hash = row.Text(7);
+  info.file = row.Text(8);
+  info.holder = row.Text(9);
   return info;
 }
+
+namespace {
 
 std::optional<std::int64_t> LengthOf(const UploadInfo& info) {
   if (!info.length) return std::nullopt;
@@ -47,10 +56,12 @@ Result<std::unique_ptr<UploadStore>> UploadStore::Open(const Parts& parts,
 }
 
 Result<void> UploadStore::Recover() {
+  // Other processes are at work: what dead ones left is taken up when somebody asks for it.
+  if (shared_) return {};
   std::vector<UploadInfo> rows;
-  auto listed = parts_.database.Read().Query(
-      "SELECT id, model, metadata, length, \"offset\", created, expires, hash FROM uploads",
-      [&](const Row& row) { rows.push_back(ReadRow(row)); });
+  auto listed =
+      parts_.database.Read().Query("SELECT " + kUploadColumns + " FROM uploads",
+                                   [&](const Row& row) { rows.push_back(ReadUpload(row)); });
   if (!listed) return Forward(listed);
   for (const UploadInfo& info : rows) {
     if (auto resumed = Resume(info); !resumed) return resumed;
@@ -63,7 +74,7 @@ Result<void> UploadStore::Resume(const UploadInfo& info) {
   entry->info = info;
   entries_[info.id] = entry;
   if (!info.hash.empty()) return {};
-  const auto fd = OpenFile(info.id);
+  const auto fd = OpenFile(info);
   const auto size = fd ? RegularFileSize(fd->get(), info.id) : Result<std::uint64_t>(0);
   // The file was there before the row. Without it nothing can be resumed: the client begins anew.
   if (!fd || !size || *size < info.offset) return Remove(*entry);
@@ -87,11 +98,13 @@ Result<void> UploadStore::RemoveStrangers() {
   });
 }
 
-Result<Fd> UploadStore::OpenFile(const std::string& id, int more_flags) const {
+Result<Fd> UploadStore::OpenFile(const UploadInfo& info, int more_flags) const {
+  const std::string& name = FileOf(info);
   const int flags = O_RDWR | O_NOFOLLOW | O_CLOEXEC | more_flags;
-  Fd fd(openat(parts_.folder.uploads().get(), id.c_str(), flags, 0600));
+  Fd fd(openat(parts_.folder.uploads().get(), name.c_str(), flags, 0600));
   if (!fd) {
-    return Fail(ErrorCode::kIo, "uploads/" + id + ": cannot be opened: " + io::SystemReason(errno));
+    return Fail(ErrorCode::kIo,
+                "uploads/" + name + ": cannot be opened: " + io::SystemReason(errno));
   }
   return fd;
 }
@@ -108,12 +121,19 @@ Result<void> UploadStore::CheckNew(const NewUpload& upload) {
                                             " bytes: expected at most " +
                                             std::to_string(limits_.max_bytes));
   }
-  const std::lock_guard lock(mutex_);
-  const auto open = std::ranges::count_if(
-      entries_, [](const auto& named) { return named.second->info.hash.empty(); });
-  if (static_cast<std::size_t>(open) < limits_.max_open) return {};
+  const auto open = CountOpen();
+  if (!open) return Forward(open);
+  if (*open < limits_.max_open) return {};
   return Fail(ErrorCode::kOverBudget,
-              std::to_string(open) + " uploads are unfinished, which is the limit");
+              std::to_string(*open) + " uploads are unfinished, which is the limit");
+}
+
+Result<std::size_t> UploadStore::CountOpen() {
+  std::int64_t count = 0;
+  auto asked = parts_.database.Read().Query("SELECT count(*) FROM uploads WHERE hash IS NULL",
+                                            [&](const Row& row) { count = row.Int(0); });
+  if (!asked) return Forward(asked);
+  return static_cast<std::size_t>(count);
 }
 
 Result<UploadInfo> UploadStore::Create(const NewUpload& upload) {
@@ -123,17 +143,33 @@ Result<UploadInfo> UploadStore::Create(const NewUpload& upload) {
   auto reserved = parts_.blobs.Reserve(entry->share, BlobKind::kModel, upload.length.value_or(0));
   if (!reserved) return Forward(reserved);
   entry->hasher.emplace();
-  entry->info = {RandomId(), upload.model,       upload.metadata, upload.length,
-                 0,          parts_.clock.Now(), Expiry(),        {}};
+  entry->info = {RandomId(),
+                 upload.model,
+                 upload.metadata,
+                 upload.length,
+                 0,
+                 parts_.clock.Now(),
+                 Expiry(),
+                 {},
+                 {},
+                 {}};
   const std::string id = entry->info.id;
-  const auto file = OpenFile(id, O_CREAT | O_EXCL);
+  if (shared_) {
+    entry->info.file = parts_.blobs.membership().NewName();
+    entry->info.holder = MakerOf(entry->info.file);
+  }
+  const auto file = OpenFile(entry->info, O_CREAT | O_EXCL);
   if (!file) return Forward(file);
   auto stored = SyncFolder(parts_.folder.uploads(), "uploads");
   if (stored) stored = Insert(entry->info);
   if (!stored) {
-    unlinkat(parts_.folder.uploads().get(), id.c_str(), 0);
+    // Where the database was away the row may be there nevertheless: then the file has to be.
+    if (!IsDatabaseAway(stored.error())) {
+      unlinkat(parts_.folder.uploads().get(), FileOf(entry->info).c_str(), 0);
+    }
     return Forward(stored);
   }
+  if (shared_) entry->share = NewShare();  // The row counts.
   entry->busy = true;
   {
     const std::lock_guard lock(mutex_);
@@ -148,25 +184,31 @@ Result<UploadInfo> UploadStore::Create(const NewUpload& upload) {
 Result<void> UploadStore::Insert(const UploadInfo& info) {
   auto session = parts_.database.Write();
   if (!session) return Forward(session);
+  if (auto alive = CheckAlive(*session, info.file); !alive) return alive;
   auto inserted = session->Run(
-      "INSERT INTO uploads (id, model, metadata, length, \"offset\", created, expires)"
-      " VALUES (?, ?, ?, ?, 0, ?, ?)",
+      "INSERT INTO uploads (id, model, metadata, length, \"offset\", created, expires, file, "
+      "holder)"
+      " VALUES (?, ?, ?, ?, 0, ?, ?, ?, ?)",
       info.id, info.model, info.metadata, LengthOf(info), ToMillis(info.created),
-      ToMillis(info.expires));
+      ToMillis(info.expires), info.file, info.holder);
   if (!inserted) return Forward(inserted);
   return session->Commit();
 }
 
 Result<void> UploadStore::Update(Entry& entry, const UploadInfo& info) {
   {
-    auto session = parts_.database.Write();
+    auto session = parts_.database.WriteRows();
     if (!session) return Forward(session);
     auto updated = session->Run(
-        "UPDATE uploads SET length = ?, \"offset\" = ?, expires = ?, hash = nullif(?, '') WHERE id "
-        "= ?",
+        "UPDATE uploads SET length = ?, \"offset\" = ?, expires = ?, hash = nullif(?, '')"
+        " WHERE id = ? AND holder = ?",
         LengthOf(info), static_cast<std::int64_t>(info.offset), ToMillis(info.expires), info.hash,
-        info.id);
+        info.id, info.holder);
     if (!updated) return Forward(updated);
+    if (*updated != 1) {
+      return Fail(ErrorCode::kConflict,
+                  "upload " + info.id + ": another process took it over; go on from its offset");
+    }
     if (auto committed = session->Commit(); !committed) return committed;
   }
   const std::lock_guard lock(mutex_);
@@ -182,6 +224,9 @@ Result<void> UploadStore::StoreOffset(Entry& entry, std::uint64_t offset) {
 }
 
 Result<std::shared_ptr<UploadStore::Entry>> UploadStore::Find(const std::string& id) {
+  if (shared_) {
+    if (auto loaded = Load(id); !loaded) return Forward(loaded);
+  }
   const auto found = entries_.find(id);
   if (found == entries_.end() ||
       (!found->second->busy && found->second->info.expires <= parts_.clock.Now())) {
@@ -191,7 +236,7 @@ Result<std::shared_ptr<UploadStore::Entry>> UploadStore::Find(const std::string&
 }
 
 Result<std::shared_ptr<UploadStore::Entry>> UploadStore::Occupy(const std::string& id) {
-  const std::lock_guard lock(mutex_);
+  std::unique_lock lock(mutex_);
   auto entry = Find(id);
   if (!entry) return entry;
   if ((*entry)->busy) {
@@ -201,10 +246,18 @@ Result<std::shared_ptr<UploadStore::Entry>> UploadStore::Occupy(const std::strin
   }
   (*entry)->busy = true;
   (*entry)->stop = false;
+  lock.unlock();
+  if (!shared_) return entry;
+  if (auto held = Hold(**entry); !held) {
+    lock.lock();
+    (*entry)->busy = false;
+    return Forward(held);
+  }
   return entry;
 }
 
 void UploadStore::Leave(Entry& entry) {
+  if (shared_) LetGo(entry);
   const std::lock_guard lock(mutex_);
   entry.busy = false;
 }
@@ -224,7 +277,14 @@ Result<UploadInfo> UploadStore::Head(const std::string& id) {
     const bool unfinished = info.hash.empty() && info.length == info.offset && !(*found)->busy;
     if (!unfinished) return info;
     entry = *found;
-    entry->busy = true;
+    if (!shared_) entry->busy = true;
+  }
+  if (shared_) {
+    auto occupied = Occupy(id);
+    // Somebody is at it: it is as it was.
+    if (!occupied && occupied.error().code == ErrorCode::kConflict) return InfoOf(*entry);
+    if (!occupied) return Forward(occupied);
+    entry = *occupied;
   }
   // All bytes are there and what followed failed, for want of space perhaps. The client will send
   // nothing more, so this is the moment to try again.
@@ -262,6 +322,7 @@ Result<UploadInfo> UploadStore::SetLength(const std::string& id, std::uint64_t l
     info.length = length;
     info.expires = Expiry();
     if (auto updated = Update(**entry, info); !updated) return updated;
+    if (shared_) share = NewShare();  // The row counts.
     return CompleteIfWhole(**entry);
   }();
   Leave(**entry);
@@ -276,7 +337,7 @@ Result<std::string> UploadStore::HashOf(Entry& entry) {
     entry.hasher.reset();
     if (IsHash(hash)) return hash;
   }
-  const auto fd = OpenFile(entry.info.id);
+  const auto fd = OpenFile(entry.info);
   if (!fd) return Forward(fd);
   return HashFile(fd->get(), size, "uploads/" + entry.info.id);
 }
@@ -289,13 +350,13 @@ Result<void> UploadStore::CompleteIfWhole(Entry& entry) {
   const auto hash = HashOf(entry);
   if (!hash) return Forward(hash);
   const auto pin = parts_.blobs.Adopt(
-      {parts_.folder.uploads(), info.id, *hash, info.offset, BlobKind::kModel}, entry.share);
+      {parts_.folder.uploads(), FileOf(info), *hash, info.offset, BlobKind::kModel}, entry.share);
   if (!pin) return Forward(pin);
   if (auto put = parts_.models.Put(info.model, *pin); !put) return Forward(put);
   info.hash = *hash;
   info.expires = Expiry();
   if (auto updated = Update(entry, info); !updated) return updated;
-  unlinkat(parts_.folder.uploads().get(), info.id.c_str(), 0);
+  unlinkat(parts_.folder.uploads().get(), FileOf(info).c_str(), 0);
   entry.share = DiskShare();
   return {};
 }
@@ -313,11 +374,12 @@ Result<void> UploadStore::Remove(Entry& entry) {
   {
     auto session = parts_.database.Write();
     if (!session) return Forward(session);
-    auto deleted = session->Run("DELETE FROM uploads WHERE id = ?", id);
+    auto deleted =
+        session->Run("DELETE FROM uploads WHERE id = ? AND holder = ?", id, entry.info.holder);
     if (!deleted) return Forward(deleted);
     if (auto committed = session->Commit(); !committed) return committed;
   }
-  unlinkat(parts_.folder.uploads().get(), id.c_str(), 0);
+  unlinkat(parts_.folder.uploads().get(), FileOf(entry.info).c_str(), 0);
   entry.share = DiskShare();
   const std::lock_guard lock(mutex_);
   entries_.erase(id);
@@ -325,6 +387,7 @@ Result<void> UploadStore::Remove(Entry& entry) {
 }
 
 Result<std::size_t> UploadStore::RemoveExpired() {
+  if (shared_) return RemoveExpiredShared();
   std::vector<std::shared_ptr<Entry>> expired;
   {
     const std::lock_guard lock(mutex_);

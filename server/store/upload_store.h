@@ -8,9 +8,11 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 #include <unordered_map>
+#include <vector>
 
 #include "core/result.h"
 #include "io/sha256.h"
@@ -44,6 +46,8 @@ struct UploadInfo {
   Timestamp expires;
   /// SHA-256 of the finished upload, which is a model now; "" while bytes are missing.
   std::string hash;
+  /// In a shared store: the name of its file, and which process appends to it; "" otherwise.
+  std::string file, holder;
 };
 
 /// What one request's bytes must hash to.
@@ -93,6 +97,12 @@ class UploadAppend {
 };
 
 /// The uploads of a data folder. Threads: any; one append at a time to one upload.
+///
+/// In a shared store an upload may go on in any process. Who appends is its row's `holder`, and
+/// every change of the row asks for that: a process that was away for longer than its lease and
+/// lost the upload changes nothing any more. What it may still write goes to a file that nobody
+/// reads: who takes over from a holder that never let go copies the durable bytes to a file of its
+/// own.
 class UploadStore {
  public:
   struct Parts {
@@ -132,10 +142,29 @@ class UploadStore {
   /// Removes what has expired, finished uploads' records included. Returns how many. Errors: kIo.
   Result<std::size_t> RemoveExpired();
 
+  /// Another process wants to append to this upload: who does so here is to stop.
+  void StopAppend(const std::string& id);
+
  private:
   friend class UploadAppend;
   using Entry = UploadAppend::Entry;
-  UploadStore(const Parts& parts, const UploadLimits& limits) : parts_(parts), limits_(limits) {}
+  UploadStore(const Parts& parts, const UploadLimits& limits)
+      : parts_(parts), limits_(limits), shared_(parts.database.shared()) {}
+
+  /// The name of an upload's file in uploads/.
+  static const std::string& FileOf(const UploadInfo& info) {
+    return info.file.empty() ? info.id : info.file;
+  }
+  Result<std::size_t> CountOpen();
+  DiskShare NewShare() { return parts_.blobs.budget(BlobKind::kModel).NewShare(); }
+  // Of a shared store (upload_sharing.cc).
+  Result<void> Load(const std::string& id);
+  Result<void> Hold(Entry& entry);
+  Result<void> TakeOver(Entry& entry, const std::string& former);
+  void LetGo(Entry& entry);
+  Result<void> LetGoOf(const std::string& id, bool busy);
+  Result<std::vector<std::string>> Abandoned(const std::string& condition);
+  Result<std::size_t> RemoveExpiredShared();
 
   Result<void> Recover();
   Result<void> Resume(const UploadInfo& info);
@@ -143,7 +172,7 @@ class UploadStore {
   Result<std::shared_ptr<Entry>> Find(const std::string& id);
   Result<std::shared_ptr<Entry>> Occupy(const std::string& id);
   void Leave(Entry& entry);
-  Result<Fd> OpenFile(const std::string& id, int more_flags = 0) const;
+  Result<Fd> OpenFile(const UploadInfo& info, int more_flags = 0) const;
   Result<void> CheckNew(const NewUpload& upload);
   Result<void> Insert(const UploadInfo& info);
   /// Writes what may change of an upload to the database, then shows it to readers.
@@ -158,7 +187,9 @@ class UploadStore {
 
   Parts parts_;
   UploadLimits limits_;
-  std::mutex mutex_;  // Guards entries_, and each entry's `busy` and `info`.
+  const bool shared_;
+  std::mutex mutex_;  // Guards entries_, unreleased_, and each entry's `busy` and `info`.
+  std::set<std::string> unreleased_;  // Held, though nobody here is at them: the database was away.
   std::unordered_map<std::string, std::shared_ptr<Entry>> entries_;
 };
 

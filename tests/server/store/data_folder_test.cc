@@ -94,8 +94,9 @@ TEST(Database, ABlobInUseCannotBeForgotten) {
   auto database = Database::Open(folder / "db");
   ASSERT_OK(database);
   ASSERT_OK(Migrate(**database));
-  ASSERT_OK((*database)->Read().RunScript(
-      "INSERT INTO blobs VALUES ('h', 1, 0); INSERT INTO models VALUES ('m', 'h', '', 0, 0)"));
+  ASSERT_OK(
+      (*database)->Read().RunScript("INSERT INTO blobs (hash, size, kind) VALUES ('h', 1, 0); "
+                                    "INSERT INTO models VALUES ('m', 'h', '', 0, 0)"));
   EXPECT_FAILS(ErrorCode::kInternal, (*database)->Read().Run("DELETE FROM blobs"));
 }
 

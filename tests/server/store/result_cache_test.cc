@@ -179,7 +179,7 @@ TEST_F(ResultCacheTest, AFailureIsToldToAllWhoWaitAndIsNotRemembered) {
 
 TEST_F(ResultCacheTest, ADamagedResultIsComputedAgain) {
   ASSERT_OK(Fill("key", "samples"));
-  std::filesystem::remove(options.data + "/" + BlobStore::PathOf(HashOf("samples")));
+  std::filesystem::remove(BlobFile("samples"));
   EXPECT_FALSE(Has("key"));
   ASSERT_OK(Fill("key", "samples"));
   EXPECT_TRUE(Has("key"));

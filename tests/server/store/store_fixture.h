@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <cstdlib>
 #include <filesystem>
 #include <functional>
 #include <memory>
@@ -52,19 +53,43 @@ inline std::string Bytes(std::size_t size, std::uint64_t seed) {
   return bytes;
 }
 
-/// A store in a folder of its own.
+/// A store in a folder of its own; with STRATA_TEST_POSTGRES, an address, in a schema of its own
+/// there (tests/server/nodes/store_on_postgres_test.py): the same facts hold over both.
 class StoreTest : public testing::Test {
  protected:
   StoreTest() {
     options.data = folder / "data";
     options.blobs.keep_free_bytes = 0;
+    options.blobs.grace = Milliseconds(0);
+    if (const char* const url = std::getenv("STRATA_TEST_POSTGRES")) {
+      options.shared.emplace();
+      options.shared->postgres.url = url;
+      options.shared->postgres.schema = "t" + RandomId();
+      options.shared->postgres.clock = &clock;
+      options.shared->postgres.connections = 16;
+    }
   }
+  ~StoreTest() override {
+    store.reset();
+    if (!shared()) return;
+    auto database = OpenPostgres(options.shared->postgres);
+    if (database) {
+      EXPECT_OK((*database)->Read().RunScript("DROP SCHEMA IF EXISTS " +
+                                              options.shared->postgres.schema + " CASCADE"));
+    }
+  }
+  bool shared() const { return options.shared.has_value(); }
 
+  /// Also as the next process; in a shared store it finds its forerunner's leases run out.
   void Open() {
+    const bool again = store != nullptr;
     store.reset();
     auto opened = Store::Open(options, clock);
     ASSERT_OK(opened);
     store = std::move(*opened);
+    if (!shared() || !again) return;
+    clock.Advance(options.jobs.lease);
+    ASSERT_OK(store->jobs().ExpireLeases());
   }
   void SetUp() override { Open(); }
 
@@ -88,15 +113,29 @@ class StoreTest : public testing::Test {
     const auto read = ReadFileAt(model->fd.get(), 0, bytes, name);
     return read ? bytes : "error: " + Why(read);
   }
-  /// Paths of the files below a folder of the data folder, sorted.
+  /// Paths of the files below a folder of the data folder, sorted; without what tells, in a shared
+  /// store, who made them.
   std::vector<std::string> Files(const std::string& inner) const {
     std::vector<std::string> files;
     const std::filesystem::path root = options.data;
     for (const auto& entry : std::filesystem::recursive_directory_iterator(root / inner)) {
-      if (entry.is_regular_file()) files.push_back(entry.path().lexically_relative(root).string());
+      if (!entry.is_regular_file()) continue;
+      const std::string path = entry.path().lexically_relative(root).string();
+      files.push_back(shared() ? path.substr(0, path.find('.')) : path);
     }
     std::sort(files.begin(), files.end());
     return files;
+  }
+
+  /// Where the blob with this content lies.
+  std::string BlobFile(const std::string& bytes) const {
+    std::string suffix;
+    if (shared()) {
+      EXPECT_OK(store->database().Read().Query(
+          "SELECT file FROM blobs WHERE hash = ?",
+          [&](const Row& row) { suffix = '.' + row.Text(0); }, HashOf(bytes)));
+    }
+    return options.data + '/' + BlobStore::PathOf(HashOf(bytes)) + suffix;
   }
 
   test::TempFolder folder;
