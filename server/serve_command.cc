@@ -56,6 +56,10 @@ Result<std::unique_ptr<HttpServer>> StartHttp(const ServeCommand& command, Servi
 
 Result<std::unique_ptr<RpcServer>> StartRpc(const ServeCommand& command, Service& service) {
   if (!command.grpc) return std::unique_ptr<RpcServer>();
+  if (command.tls.on()) {
+    // gRPC takes files that do not fit together, and then fails every handshake.
+    if (auto fits = TlsContext::Load(command.tls); !fits) return Forward(fits);
+  }
   RpcServer::Options options;
   options.address = command.grpc->address;
   options.port = command.grpc->port;

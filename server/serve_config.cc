@@ -294,7 +294,10 @@ std::string Joined(const std::vector<std::string>& values) {
 std::string TextOf(const toml::node& node, bool repeated) {
   if (const auto* const list = node.as_array(); list && repeated) {
     std::vector<std::string> values;
-    for (const toml::node& each : *list) values.push_back(TextOf(each, false));
+    for (const toml::node& each : *list) {
+      values.push_back(TextOf(each, false));
+      if (values.back().empty()) return {};  // What is no text may not go missing.
+    }
     return Joined(values);
   }
   if (const auto* const text = node.as_string()) return text->get();
@@ -342,6 +345,14 @@ std::unique_ptr<CLI::App> MakeServeApp(std::optional<std::string>& file, ServeTe
   return app;
 }
 
+/// "--queue: found …" of a value that the file has: "strata.toml, line 3: queue: found …".
+std::string InItsPlace(const std::string& message, const ServeTexts& places) {
+  const std::size_t end = message.find_first_of(": ");
+  if (!message.starts_with("--") || end == std::string::npos) return message;
+  const auto place = places.find(message.substr(2, end - 2));
+  return place == places.end() ? message : place->second + message.substr(2);
+}
+
 }  // namespace
 
 CommandText DescribeServe(ServeMode mode) {
@@ -353,8 +364,8 @@ CommandText DescribeServe(ServeMode mode) {
   return text;
 }
 
-Result<ServeTexts> ReadServeFile(const std::string& path) {
-  ServeTexts texts;
+Result<ServeFile> ReadServeFile(const std::string& path) {
+  ServeFile file;
   if (std::error_code failed; !std::filesystem::exists(path, failed)) {
     return Fail(ErrorCode::kNotFound, path + ": no such file");
   }
@@ -369,15 +380,18 @@ Result<ServeTexts> ReadServeFile(const std::string& path) {
         return Invalid(where + "unknown option '" + name + "'" +
                        (meant.empty() ? "" : "; did you mean '" + meant + "'?"));
       }
-      texts[name] = TextOf(node, option->repeated);
-      if (texts[name].empty()) return Invalid(where + name + ": expected a text, number or truth");
+      file.texts[name] = TextOf(node, option->repeated);
+      file.places[name] = where;
+      if (file.texts[name].empty()) {
+        return Invalid(where + name + ": expected a text, whole number or truth");
+      }
     }
   } catch (const toml::parse_error& error) {
     std::ostringstream message;
     message << path << ", line " << error.source().begin.line << ": " << error.description();
     return Invalid(message.str());
   }
-  return texts;
+  return file;
 }
 
 Result<ServeCommand> CheckServe(const ServeTexts& texts, ServeMode mode) {
@@ -427,13 +441,16 @@ Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::str
   constexpr const char* kUsual = "strata.toml";
   std::error_code failed;
   if (!file && std::filesystem::exists(kUsual, failed)) file = kUsual;
+  ServeFile read;
   if (file) {
     auto texts = ReadServeFile(*file);
     if (!texts) return Forward(texts);
-    given.merge(*texts);
+    read = *std::move(texts);
+    for (const auto& [name, text] : given) read.places.erase(name);
+    given.merge(read.texts);
   }
   auto command = CheckServe(given, mode);
-  if (!command) return Forward(command);
+  if (!command) return Invalid(InItsPlace(command.error().message, read.places));
   return Parsed(tl::in_place, std::in_place_type<ServeCommand>, *std::move(command));
 }
 

@@ -56,9 +56,14 @@ Result<std::variant<ServeCommand, ShowText>> ParseServe(std::span<const std::str
 /// What `strata serve --help` and `strata worker --help` print.
 CommandText DescribeServe(ServeMode mode = ServeMode::kServe);
 
+struct ServeFile {
+  ServeTexts texts;
+  ServeTexts places;  ///< Of each name: "strata.toml, line 3: ".
+};
+
 /// The texts of a TOML file: `name = value`, no tables; lists where an option may be repeated.
 /// Errors: kInvalidArgument, kNotFound.
-Result<ServeTexts> ReadServeFile(const std::string& path);
+Result<ServeFile> ReadServeFile(const std::string& path);
 
 /// The checked configuration. Errors: kInvalidArgument.
 Result<ServeCommand> CheckServe(const ServeTexts& texts, ServeMode mode = ServeMode::kServe);

@@ -79,7 +79,8 @@ bool BrowserGuard::Knows(std::string_view host) const {
 }
 
 Answer<void> BrowserGuard::Check(const Exchange& exchange) const {
-  const std::string host = exchange.header("Host");
+  const std::string& absolute = exchange.target().authority;
+  const std::string host = absolute.empty() ? exchange.header("Host") : absolute;
   if (refuse_other_hosts_ && !Knows(host)) {
     return Refuse(Refusal::kMisdirected,
                   "Host: found '" + host +

@@ -39,10 +39,10 @@ std::optional<ByteRange> ParseRange(std::string_view text, std::uint64_t size) {
 
 }  // namespace
 
-bool HasTag(const std::string& list, const std::string& tag) {
+bool HasTag(const std::string& list, const std::string& tag, TagMatch match) {
   if (list == "*") return true;
   for (std::size_t at = 0; (at = list.find(tag, at)) != std::string::npos; at += tag.size()) {
-    if (at < 2 || list.compare(at - 2, 2, "W/") != 0) return true;
+    if (match == TagMatch::kWeak || at < 2 || list.compare(at - 2, 2, "W/") != 0) return true;
   }
   return false;
 }
@@ -50,19 +50,20 @@ bool HasTag(const std::string& list, const std::string& tag) {
 void RespondConditional(Exchange& exchange, const Content& content, Headers headers) {
   headers.emplace_back("ETag", content.etag);
   const std::string match = exchange.header("If-Match");
-  if (!match.empty() && !HasTag(match, content.etag)) {
+  if (!match.empty() && !HasTag(match, content.etag, TagMatch::kStrong)) {
     return exchange.RespondProblem(
         ProblemOf(Refusal::kPrecondition, "If-Match: the entity tag is " + content.etag));
   }
   const std::string none_match = exchange.header("If-None-Match");
-  if (!none_match.empty() && HasTag(none_match, content.etag)) {
+  if (!none_match.empty() && HasTag(none_match, content.etag, TagMatch::kWeak)) {
     return exchange.Respond(304, headers, "");
   }
   headers.emplace_back("Content-Type", content.media_type);
   headers.emplace_back("Accept-Ranges", "bytes");
   const std::string condition = exchange.header("If-Range");
   std::optional<ByteRange> range;
-  if (condition.empty() || condition == content.etag) {
+  const bool fits = condition.empty() || condition == content.etag;
+  if (fits && exchange.method() == "GET") {  // No other method has ranges.
     range = ParseRange(exchange.header("Range"), content.size);
   }
   if (!range) return exchange.RespondContent(200, headers, content, 0, content.size);

@@ -9,7 +9,11 @@ namespace strata::server {
 /// If-None-Match), 412 (by If-Match) or 416. More than one range is answered in whole.
 void RespondConditional(Exchange& exchange, const Content& content, Headers headers);
 
-/// Whether `tag` stands in a list of entity tags, or the list is "*". Weak ones fit no strong one.
-bool HasTag(const std::string& list, const std::string& tag);
+/// How weak tags compare: If-Match asks for the same bytes, If-None-Match takes `W/"x"` for "x",
+/// which is what a proxy that compresses makes of it.
+enum class TagMatch { kStrong, kWeak };
+
+/// Whether `tag`, a strong one, stands in a list of entity tags, or the list is "*".
+bool HasTag(const std::string& list, const std::string& tag, TagMatch match);
 
 }  // namespace strata::server

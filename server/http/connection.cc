@@ -14,6 +14,7 @@
 #include <iterator>
 #include <string>
 
+#include "server/http/framing.h"
 #include "server/http/http_exchange.h"
 #include "server/http/router.h"
 #include "server/service/log.h"
@@ -53,7 +54,10 @@ Problem ProblemOfHeader(const error_code& error, const HttpLimits& limits) {
 class Connection {
  public:
   Connection(const HttpShared& shared, Transport& transport)
-      : shared_(shared), transport_(transport), peer_(PeerOf(transport.descriptor())) {}
+      : shared_(shared),
+        transport_(transport),
+        peer_(PeerOf(transport.descriptor())),
+        buffer_(shared.limits.header_bytes + kBodyPiece) {}
 
   void Run() {
     error_code error;
@@ -113,6 +117,9 @@ class Connection {
   }
 
   Routed Answer(HttpExchange& exchange, const RequestParser& parser) {
+    if (auto framed = CheckFraming(parser); !framed) {
+      return RefuseHeader(exchange, framed.error());
+    }
     const auto& fields = parser.get().base();
     const auto count = static_cast<std::size_t>(std::distance(fields.begin(), fields.end()));
     if (count > shared_.limits.header_fields) {
@@ -169,6 +176,8 @@ class Connection {
   const HttpShared& shared_;
   Transport& transport_;
   const std::string peer_;
+  /// Bounded: a body's pieces do not stay in it, but the lines between chunks and after the last
+  /// are gathered whole before the parser looks at them.
   boost::beast::flat_buffer buffer_;
   SteadyClock::time_point start_;
 };

@@ -19,8 +19,6 @@ namespace {
 namespace http = boost::beast::http;
 using boost::system::error_code;
 
-constexpr std::size_t kPiece = 64 << 10;  // Of a body, at a time.
-
 /// When the next byte must have moved: soon enough for the average since `start`, and within the
 /// grace whatever moved before, so that no burst buys a long silence.
 SteadyClock::time_point RateDeadline(const HttpLimits& limits, SteadyClock::time_point start,
@@ -89,6 +87,10 @@ Answer<std::size_t> HttpExchange::ReadPiece(char* into, std::size_t size) {
                                          std::to_string(shared_.limits.bytes_per_second) +
                                          " bytes a second" + where);
   }
+  if (error == http::error::buffer_overflow) {
+    return Refuse(Refusal::kHeaderTooLarge,
+                  "a chunk's extension, or the trailer, is larger than allowed," + where);
+  }
   if (error == http::error::partial_message || error == http::error::end_of_stream) {
     return Refuse(Refusal::kMalformed, "the body ends early," + where);
   }
@@ -106,8 +108,8 @@ Answer<void> HttpExchange::ReadBody(std::uint64_t limit,
   };
   if (const auto length = parser_.content_length(); length && *length > limit) return too_large();
   if (auto expected = CheckExpectation(); !expected) return expected;
-  std::vector<char> piece(kPiece);
-  buffer_.reserve(kPiece);
+  std::vector<char> piece(kBodyPiece);
+  buffer_.reserve(kBodyPiece);
   const auto start = SteadyClock::now();
   while (!parser_.is_done()) {
     transport_.SetDeadline(RateDeadline(shared_.limits, start, bytes_in_));
@@ -169,7 +171,7 @@ void HttpExchange::Respond(int status, const Headers& headers, std::string_view 
 void HttpExchange::RespondContent(int status, const Headers& headers, const Content& content,
                                   std::uint64_t offset, std::uint64_t size) {
   if (!SendHeader(status, headers, size) || method() == "HEAD") return;
-  std::vector<char> piece(std::min<std::uint64_t>(size, 4 * kPiece));
+  std::vector<char> piece(std::min<std::uint64_t>(size, 4 * kBodyPiece));
   for (std::uint64_t sent = 0; sent < size;) {
     const std::size_t now = std::min<std::uint64_t>(piece.size(), size - sent);
     // After the header no other answer is possible: a broken connection says that it failed.

@@ -47,6 +47,9 @@ class BeastStream {
   Transport& transport_;
 };
 
+/// Of a body, bytes at a time.
+constexpr std::size_t kBodyPiece = 64 << 10;
+
 using RequestParser = boost::beast::http::request_parser<boost::beast::http::buffer_body>;
 
 /// Owner of nothing: connection, parser and buffer outlive it.

@@ -21,6 +21,9 @@
 namespace strata::server {
 namespace {
 
+/// How long the acceptor leaves waiting clients alone while no descriptor is free.
+constexpr int kDescriptorWaitMs = 20;
+
 /// For a connection that no thread is left for. One write, which a fresh socket always takes.
 void TurnAway(int socket, bool plain) {
   constexpr std::string_view kBusy =
@@ -49,7 +52,8 @@ struct HttpServer::State {
       const int socket = accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC);
       if (socket >= 0) Serve(socket);
       // Out of descriptors: the ones that end give theirs back.
-      if (socket < 0 && (errno == EMFILE || errno == ENFILE)) std::this_thread::yield();
+      const bool none_left = socket < 0 && (errno == EMFILE || errno == ENFILE);
+      if (none_left && poll(&waited[1], 1, kDescriptorWaitMs) > 0) return;
     }
   }
 

@@ -20,6 +20,7 @@ void RespondJob(Exchange& exchange, const Answer<v1::Job>& job) {
 Answer<StoredService::CreatedJob> Create(Service& service, Exchange& exchange) {
   const auto stored = service.stored();
   if (!stored) return Pass(stored);
+  if (auto none = CheckNoParameters(exchange.target()); !none) return Pass(none);
   v1::CreateJobRequest request;
   if (auto filled = JsonBodyInto(exchange, request); !filled) return Pass(filled);
   if (const std::string key = exchange.header("Idempotency-Key"); !key.empty()) {
@@ -79,12 +80,18 @@ void GetJob(Service& service, Exchange& exchange, const std::string& id) {
 void DeleteJob(Service& service, Exchange& exchange, const std::string& id) {
   const auto stored = service.stored();
   if (!stored) return exchange.RespondProblem(stored.error());
+  if (auto none = CheckNoParameters(exchange.target()); !none) {
+    return exchange.RespondProblem(none.error());
+  }
   RespondJob(exchange, (*stored)->CancelJob(id));
 }
 
 void GetJobEvents(Service& service, Exchange& exchange, const std::string& id) {
   const auto stored = service.stored();
   if (!stored) return exchange.RespondProblem(stored.error());
+  if (auto none = CheckNoParameters(exchange.target()); !none) {
+    return exchange.RespondProblem(none.error());
+  }
   v1::WatchJobRequest request;
   request.set_id(id);
   const std::string last = exchange.header("Last-Event-ID");
@@ -93,6 +100,7 @@ void GetJobEvents(Service& service, Exchange& exchange, const std::string& id) {
   request.set_after_sequence(sequence);
   if (const auto job = (*stored)->GetJob(id); !job) return exchange.RespondProblem(job.error());
   exchange.BeginStream(200, {{"Content-Type", "text/event-stream"}, {"Cache-Control", "no-store"}});
+  if (exchange.method() == "HEAD") return;
   static_cast<void>((*stored)->WatchJob(
       request, [&](const v1::JobEvent& event) { return exchange.Stream(EventText(event)); },
       [&exchange] { return exchange.ClientGone(); }));
@@ -101,6 +109,9 @@ void GetJobEvents(Service& service, Exchange& exchange, const std::string& id) {
 void GetJobResult(Service& service, Exchange& exchange, const std::string& id) {
   const auto stored = service.stored();
   if (!stored) return exchange.RespondProblem(stored.error());
+  if (auto none = CheckNoParameters(exchange.target()); !none) {
+    return exchange.RespondProblem(none.error());
+  }
   const auto result = (*stored)->OpenResult(id);
   if (!result) return exchange.RespondProblem(result.error());
   RespondConditional(exchange, result->content, ResultHeaders(*result));

@@ -10,6 +10,14 @@
 namespace strata::server {
 namespace {
 constexpr std::uint64_t kMostJson = 1 << 20;
+
+/// "application/json" of "Application/JSON ; charset=utf-8".
+std::string MediaTypeIn(std::string_view content_type) {
+  std::string type(content_type.substr(0, content_type.find_first_of("; \t")));
+  std::ranges::transform(type, type.begin(),
+                         [](char c) { return c >= 'A' && c <= 'Z' ? c + ('a' - 'A') : c; });
+  return type;
+}
 }  // namespace
 
 void RespondMessage(Exchange& exchange, int status, const google::protobuf::Message& message,
@@ -43,7 +51,7 @@ Answer<void> QueryInto(const RequestTarget& target, google::protobuf::Message& m
 
 Answer<void> JsonBodyInto(Exchange& exchange, google::protobuf::Message& message) {
   const std::string type = exchange.header("Content-Type");
-  if (!type.starts_with("application/json")) {
+  if (MediaTypeIn(type) != "application/json") {
     return Refuse(Refusal::kMediaType,
                   "Content-Type: found '" + type + "', expected application/json");
   }
@@ -77,7 +85,8 @@ Answer<v1::SampleOptions> SampleOptionsOf(
 
 Answer<void> CheckMeshType(const Exchange& exchange) {
   const std::string type = exchange.header("Content-Type");
-  if (type.starts_with("multipart/") || type.starts_with("application/json")) {
+  const std::string media = MediaTypeIn(type);
+  if (media.starts_with("multipart/") || media == "application/json") {
     return Refuse(Refusal::kMediaType, "Content-Type: found '" + type +
                                            "', expected the bytes of a mesh file as the body, "
                                            "such as application/octet-stream");
@@ -91,7 +100,7 @@ Answer<void> CheckMeshType(const Exchange& exchange) {
 }
 
 Headers ResultHeaders(const Sampled& sampled) {
-  std::string suffix;
+  std::string suffix = "zip";  // Of tiles, in whatever format.
   for (const FormatName& format : Formats()) {
     if (sampled.summary.media_type() == format.media_type) suffix = format.name;
   }
@@ -102,6 +111,12 @@ Headers ResultHeaders(const Sampled& sampled) {
           {"Vary", "Accept"},
           {"Strata-Cache", sampled.summary.cached() ? "hit" : "miss"},
           {"Strata-Summary", summary}};
+}
+
+Answer<void> CheckNoParameters(const RequestTarget& target) {
+  if (target.query.empty()) return {};
+  return Refuse(Error{ErrorCode::kInvalidArgument,
+                      "unknown parameter '" + target.query.front().first + "', expected none"});
 }
 
 std::string TakeFromQuery(std::vector<std::pair<std::string, std::string>>& query,

@@ -32,6 +32,10 @@ Answer<void> CheckMeshType(const Exchange& exchange);
 /// The headers of a result.
 Headers ResultHeaders(const Sampled& sampled);
 
+/// For an endpoint without parameters: a misspelt or misplaced one is said, not passed over.
+/// Refuses: kInvalidArgument.
+Answer<void> CheckNoParameters(const RequestTarget& target);
+
 /// The value of a name in the query, taken out of it; empty: not there.
 std::string TakeFromQuery(std::vector<std::pair<std::string, std::string>>& query,
                           std::string_view name);

@@ -42,11 +42,19 @@ Answer<std::string> Decode(std::string_view text) {
 }  // namespace
 
 Answer<RequestTarget> ParseTarget(std::string_view target) {
+  RequestTarget parsed;
+  if (target.starts_with("http://") || target.starts_with("https://")) {
+    target.remove_prefix(target.find("//") + 2);
+    const std::size_t end = std::min(target.find_first_of("/?"), target.size());
+    if (end == 0) return Refuse(Refusal::kMalformed, "the URL: found no host after '//'");
+    parsed.authority = target.substr(0, end);
+    target.remove_prefix(end);
+    if (target.empty()) target = "/";
+  }
   if (!target.starts_with('/')) {
     return Refuse(Refusal::kMalformed, "the URL: expected a path that begins with '/'");
   }
   const std::size_t mark = std::min(target.find('?'), target.size());
-  RequestTarget parsed;
   auto path = Decode(target.substr(0, mark));
   if (!path) return Pass(path);
   parsed.path = *std::move(path);

@@ -60,6 +60,15 @@ Found Find(std::string_view method, const std::string& path, bool probes_alone) 
   return found;
 }
 
+/// What tus' clients send through a network that lets only GET and POST pass. Elsewhere the header
+/// means nothing.
+std::string MethodOf(const Exchange& exchange) {
+  const std::string_view sent = exchange.method();
+  const bool upload = exchange.target().path.starts_with("/v1/uploads/");
+  const std::string meant = upload ? exchange.header("X-HTTP-Method-Override") : std::string();
+  return sent == "POST" && !meant.empty() ? meant : std::string(sent);
+}
+
 void RespondUnrouted(const Found& found, Exchange& exchange) {
   const std::string& path = exchange.target().path;
   if (found.allowed.empty()) {
@@ -76,7 +85,7 @@ void RespondUnrouted(const Found& found, Exchange& exchange) {
 
 Routed Dispatch(Service& service, Exchange& exchange) {
   Routed routed;
-  const Found found = Find(exchange.method(), exchange.target().path, service.probes_alone());
+  const Found found = Find(MethodOf(exchange), exchange.target().path, service.probes_alone());
   routed.endpoint = found.endpoint;
   if (!found.route) {
     RespondUnrouted(found, exchange);

@@ -18,7 +18,9 @@ constexpr const char* kVersionHeader = "1.0.0";
 Headers TusHeaders() { return {{"Tus-Resumable", kVersionHeader}, {"Cache-Control", "no-store"}}; }
 
 void RespondTusProblem(Exchange& exchange, const Problem& problem) {
-  exchange.RespondProblem(problem, {{"Tus-Resumable", kVersionHeader}});
+  Headers headers = {{"Tus-Resumable", kVersionHeader}};
+  if (problem.http_status == 412) headers.emplace_back("Tus-Version", kVersionHeader);
+  exchange.RespondProblem(problem, headers);
 }
 
 std::optional<std::uint64_t> NumberOf(const std::string& text) {
@@ -77,9 +79,13 @@ Answer<NewUpload> NewUploadOf(const Exchange& exchange) {
     return Refuse(Refusal::kMalformed,
                   "Upload-Metadata: expected name or filename, the model's name in base64");
   }
-  upload.length = NumberOf(exchange.header("Upload-Length"));
-  if (!upload.length && exchange.header("Upload-Defer-Length") != "1") {
-    return Refuse(Refusal::kMalformed, "expected Upload-Length: BYTES or Upload-Defer-Length: 1");
+  const std::string length = exchange.header("Upload-Length");
+  const std::string deferred = exchange.header("Upload-Defer-Length");
+  upload.length = NumberOf(length);
+  const bool told = upload.length && deferred.empty();
+  if (!told && !(length.empty() && deferred == "1")) {
+    return Refuse(Refusal::kMalformed,
+                  "expected either Upload-Length: BYTES or Upload-Defer-Length: 1");
   }
   return upload;
 }
@@ -130,7 +136,12 @@ Answer<UploadInfo> Patch(Service& service, Exchange& exchange, const std::string
   const auto checksum = ChecksumOf(exchange);
   if (!checksum) return Pass(checksum);
   UploadStore& uploads = (*stored)->store().uploads();
-  if (const auto length = NumberOf(exchange.header("Upload-Length"))) {
+  if (const std::string text = exchange.header("Upload-Length"); !text.empty()) {
+    const auto length = NumberOf(text);
+    if (!length) {
+      return Refuse(Refusal::kMalformed,
+                    "Upload-Length: found '" + text + "', expected a number of bytes");
+    }
     if (const auto told = uploads.SetLength(id, *length); !told) return Refuse(told.error());
   }
   auto append = uploads.Append(id, *offset, *checksum);

@@ -144,14 +144,16 @@ grpc::Status JobsRpc::Cancel(grpc::ServerContext* context, const v1::CancelJobRe
 grpc::Status JobsRpc::Wait(grpc::ServerContext* context, const v1::WaitJobRequest* request,
                            v1::Job* job) {
   constexpr std::int64_t kUsual = 30'000, kMost = 3'600'000;
+  // Looked at before it is counted in milliseconds, which a larger one would overflow.
+  const bool in_range = request->timeout().seconds() >= 0 && request->timeout().seconds() <= kMost;
   return Unary(
       {service_, *context, "strata.v1.Jobs/Wait", Role::kRead}, job,
       [&](StoredService& stored) -> Answer<v1::Job> {
         const std::int64_t asked =
-            request->has_timeout()
+            request->has_timeout() && in_range
                 ? google::protobuf::util::TimeUtil::DurationToMilliseconds(request->timeout())
                 : kUsual;
-        if (asked < 0 || asked > kMost) {
+        if (!in_range || asked < 0 || asked > kMost) {
           return Refuse(Error{ErrorCode::kInvalidArgument, "timeout: expected 0 to 3600 seconds"});
         }
         return stored.WaitJob(request->id(), std::chrono::milliseconds(asked), GoneOf(*context));

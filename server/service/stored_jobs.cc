@@ -1,5 +1,8 @@
 // The jobs' part of StoredService.
+#include <google/protobuf/util/time_util.h>
+
 #include <algorithm>
+#include <utility>
 
 #include "server/service/canonical_options.h"
 #include "server/service/log.h"
@@ -14,6 +17,14 @@ constexpr std::chrono::milliseconds kTick{50};
 constexpr int kForgottenTicks = 200;
 constexpr std::chrono::milliseconds kBeatEvery{500};
 constexpr std::chrono::milliseconds kAwayPause{200};
+
+/// Gates what gRPC lets through and JSON does not: counted in milliseconds, it would overflow.
+bool IsTime(const google::protobuf::Timestamp& time) {
+  using google::protobuf::util::TimeUtil;
+  return time.seconds() >= TimeUtil::kTimestampMinSeconds &&
+         time.seconds() <= TimeUtil::kTimestampMaxSeconds && time.nanos() >= 0 &&
+         time.nanos() < 1'000'000'000;
+}
 
 JobQuery QueryOf(const v1::ListJobsRequest& request) {
   JobQuery query;
@@ -66,6 +77,15 @@ Answer<v1::ListJobsResponse> StoredService::ListJobs(const v1::ListJobsRequest& 
     if (state < v1::Job::queued || state > v1::Job::cancelled) {
       return Refuse(Error{ErrorCode::kInvalidArgument,
                           "state: expected queued, running, succeeded, failed or cancelled"});
+    }
+  }
+  for (const auto& [given, time] :
+       {std::pair(request.has_created_after(), &request.created_after()),
+        std::pair(request.has_created_before(), &request.created_before())}) {
+    if (given && !IsTime(*time)) {
+      return Refuse(Error{ErrorCode::kInvalidArgument,
+                          "created_after, created_before: expected an instant of the years 1 to "
+                          "9999"});
     }
   }
   const auto page = store_->jobs().List(QueryOf(request));

@@ -3,6 +3,16 @@
 #include "server/service/stored_service.h"
 
 namespace strata::server {
+namespace {
+
+/// Why a model was not changed: where the caller set a condition, a conflict is that it fails.
+tl::unexpected<Problem> RefuseChange(const ModelCondition& condition, const Error& error) {
+  const bool failed =
+      condition.kind != ModelCondition::Kind::kNone && error.code == ErrorCode::kConflict;
+  return failed ? Refuse(Refusal::kPrecondition, error.message) : Refuse(error);
+}
+
+}  // namespace
 
 Answer<StoredService::Put> StoredService::PutModel(const v1::PutModelHeader& header,
                                                    std::optional<std::uint64_t> size,
@@ -19,6 +29,9 @@ Answer<StoredService::Put> StoredService::PutModel(const v1::PutModelHeader& hea
     return {};
   });
   if (!received) return Pass(received);
+  if (blob->size() == 0) {
+    return Refuse(Refusal::kMalformed, "the body is empty, expected the bytes of a mesh file");
+  }
   const auto pin = blob->Commit();
   if (!pin) return Refuse(pin.error());
   ModelCondition condition;
@@ -27,7 +40,7 @@ Answer<StoredService::Put> StoredService::PutModel(const v1::PutModelHeader& hea
     condition = {ModelCondition::Kind::kMatches, header.if_sha256()};
   }
   const auto put = models.Put(header.name(), *pin, condition);
-  if (!put) return Refuse(put.error());
+  if (!put) return RefuseChange(condition, put.error());
   return Put{MessageOf(put->model), put->created};
 }
 
@@ -54,7 +67,7 @@ Answer<void> StoredService::DeleteModel(const std::string& name, const std::stri
   ModelCondition condition;
   if (!if_sha256.empty()) condition = {ModelCondition::Kind::kMatches, if_sha256};
   if (auto deleted = store_->models().Delete(name, condition); !deleted) {
-    return Refuse(deleted.error());
+    return RefuseChange(condition, deleted.error());
   }
   return {};
 }

@@ -110,7 +110,7 @@ class OtherSites(ServerCase):
                      '127.0.0.1.evil.example', 'localhost.evil.example', 'evil.localhost',
                      'evil.example:localhost',
                      'evil.example@localhost', 'localhost@evil.example', '192.0.2.8', '[::2]',
-                     '0.0.0.0', '10.0.0.1', '127.1', 'x.meshes.example', '', None):
+                     '0.0.0.0', '10.0.0.1', '127.1', 'x.meshes.example', ''):
             with self.subTest(host=host):
                 for method, path in (('GET', '/'), ('GET', '/livez'), ('GET', '/metrics'),
                                      ('GET', '/nowhere'), ('POST', '/v1/samples?resolution=3')):
@@ -232,6 +232,14 @@ class Tls(unittest.TestCase):
         self.assertFalse(plain.startswith(b'HTTP'), plain)
         self.assertEqual(self.curl(server, '--tls-max', '1.1')[0], 35)
 
+    def test_a_key_of_another_certificate_is_refused_whichever_protocol_is_on(self):
+        for http, rpc in (('off', '127.0.0.1:0'), ('127.0.0.1:0', 'off')):
+            done = subprocess.run([strata(), 'serve', '--http', http, '--grpc', rpc,
+                                   '--tls-certificate', 'server.pem', '--tls-key', 'client.key'],
+                                  cwd=self.at, capture_output=True, text=True, timeout=60)
+            self.assertEqual(done.returncode, 2, done.stderr)
+            self.assertIn('client.key', done.stderr)
+
     def test_with_a_client_ca_only_its_clients_come_in(self):
         server = self.serve('--tls-client-ca', str(self.at / 'ca.pem'))
         self.assertEqual(self.curl(server, '--cert', 'client.pem', '--key', 'client.key')[0], 0)
@@ -285,7 +293,10 @@ class Configuration(unittest.TestCase):
         (self.at / 'keys').write_text('abc full me\n')
         self.assertRefused('keys, line 1', '--keys', 'keys')
         self.assertRefused('nocert', '--tls-certificate', 'nocert', '--tls-key', 'nokey')
-        for text, words in [('jobs = 0\n', "--jobs: found '0'"), ('jobs =\n', 'line 1'),
+        for text, words in [('jobs = 0\n', "strata.toml, line 1: jobs: found '0'"),
+                            ('\n\nbody-size = "4Q"\n', "line 3: body-size: found '4Q'"),
+                            ('allowed-host = ["a", 1.5]\n', 'line 1: allowed-host: expected'),
+                            ('jobs =\n', 'line 1'),
                             ('\njob = 1\n', "line 2: unknown option 'job'; did you mean 'jobs'"),
                             ('jobs = [1]\n', 'line 1: jobs: expected')]:
             (self.at / 'strata.toml').write_text(text)

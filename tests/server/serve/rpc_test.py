@@ -211,7 +211,24 @@ class Stored(RpcCase):
                          grpc.StatusCode.NOT_FOUND)
         with self.assertRaises(grpc.RpcError) as caught:
             self.put('cube.obj', CUBE, if_absent=True)
-        self.assertEqual(caught.exception.code(), grpc.StatusCode.ABORTED)
+        self.assertEqual(caught.exception.code(), grpc.StatusCode.FAILED_PRECONDITION)
+        with self.assertRaises(grpc.RpcError) as caught:
+            self.put('empty.obj', b'')
+        self.assertEqual(caught.exception.code(), grpc.StatusCode.INVALID_ARGUMENT)
+
+    def test_times_beyond_the_calendar_are_refused(self):
+        for far in ({'seconds': 1 << 62}, {'seconds': -(1 << 62)}, {'nanos': -1},
+                    {'seconds': 5, 'nanos': 2_000_000_000}):
+            for name in ('created_after', 'created_before'):
+                with self.subTest(far=far, name=name):
+                    self.assertEqual(
+                        self.code(self.jobs.List, self.j.ListJobsRequest(**{name: far})),
+                        grpc.StatusCode.INVALID_ARGUMENT)
+        for far in ({'seconds': 1 << 61}, {'seconds': -(1 << 61)}, {'seconds': 3601}):
+            with self.subTest(far=far):
+                self.assertEqual(
+                    self.code(self.jobs.Wait, self.j.WaitJobRequest(id='x', timeout=far)),
+                    grpc.StatusCode.INVALID_ARGUMENT)
 
     def test_a_job_ends_with_the_bytes_of_a_direct_call(self):
         options = self.options_.SampleOptions(resolution=44, format='ply')

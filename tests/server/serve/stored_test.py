@@ -60,12 +60,46 @@ class Models(StoredCase):
     def test_conditions_hold_or_nothing_changes(self):
         self.put('kept.obj', CUBE)
         other = CUBE + b'# other\n'
-        self.assertProblem(self.put('kept.obj', other, '-H', 'If-None-Match: *'), 409, 'conflict')
-        self.assertProblem(self.put('kept.obj', other, '-H', f'If-Match: "{"0" * 64}"'), 409,
-                           'conflict')
-        self.assertEqual(self.server.curl('/v1/models/kept.obj?content').body, CUBE)
         etag = '"' + hashlib.sha256(CUBE).hexdigest() + '"'
-        self.assertEqual(self.put('kept.obj', other, '-H', f'If-Match: {etag}').status, 200)
+        for name, condition in (('kept.obj', 'If-None-Match: *'),
+                                ('kept.obj', f'If-None-Match: "x", W/{etag}'),
+                                ('kept.obj', f'If-Match: "{"0" * 64}"'), ('kept.obj', 'If-Match: ""'),
+                                ('kept.obj', f'If-Match: W/{etag}'), ('none.obj', 'If-Match: *')):
+            with self.subTest(condition=condition):
+                self.assertProblem(self.put(name, other, '-H', condition), 412,
+                                   'precondition-failed')
+                gone = self.server.curl(f'/v1/models/{name}', '-X', 'DELETE', '-H', condition)
+                self.assertProblem(gone, 412, 'precondition-failed')
+        self.assertEqual(self.server.curl('/v1/models/kept.obj?content').body, CUBE)
+        self.assertEqual(self.put('kept.obj', CUBE, '-H', 'If-Match: *').status, 200)
+        self.assertEqual(self.put('kept.obj', other, '-H', f'If-Match: "x", {etag}').status, 200)
+
+    def test_a_condition_that_fails_is_told_before_the_body_is_sent(self):
+        self.put('early.obj', CUBE)
+        received = self.server.exchange(
+            b'PUT /v1/models/early.obj HTTP/1.1\r\nHost: localhost\r\nIf-None-Match: *\r\n'
+            b'Expect: 100-continue\r\nContent-Length: 100000\r\n\r\n')
+        self.assertTrue(received.startswith(b'HTTP/1.1 412'), received)
+
+    def test_a_parameter_that_an_endpoint_does_not_take_is_said(self):
+        self.put('asked.obj', CUBE)
+        where = '/v1/models/asked.obj'
+        for path, method in ((where, 'GET'), (where, 'PUT'), (where, 'DELETE'),
+                             ('/v1/jobs', 'POST'), ('/v1/jobs/x', 'DELETE'),
+                             ('/v1/jobs/x/events', 'GET'), ('/v1/jobs/x/result', 'GET')):
+            with self.subTest(path=path, method=method):
+                answer = self.server.curl(path + '?format=ply', '-X', method, body=CUBE)
+                self.assertProblem(answer, 400, 'invalid-argument', "'format'")
+        self.assertEqual(self.server.curl(where + '?content').body, CUBE)
+
+    def test_a_proxy_may_weaken_a_tag_and_a_head_has_no_ranges(self):
+        self.put('weak.obj', CUBE)
+        where = '/v1/models/weak.obj?content'
+        etag = self.server.curl(where).headers['etag']
+        self.assertEqual(self.server.curl(where, '-H', f'If-None-Match: W/{etag}').status, 304)
+        self.assertEqual(self.server.curl(where, '-H', f'If-Match: W/{etag}').status, 412)
+        head = self.server.curl(where, '-I', '-H', 'Range: bytes=0-3')
+        self.assertEqual((head.status, head.headers['content-length']), (200, str(len(CUBE))))
 
     def test_models_are_listed_in_pages_and_deleted(self):
         for i in range(5):
@@ -126,6 +160,7 @@ class Results(StoredCase):
                          ('miss', 'hit'))
         for answer in (first, second):
             self.assertEqual(answer.headers['content-type'], 'application/zip')
+            self.assertIn('"samples.zip"', answer.headers['content-disposition'])
         self.assertTrue(second.body == first.body)
         etag = first.headers['etag']
         part = self.server.curl(path, '-H', 'Range: bytes=100-299', '-H', f'If-Range: {etag}')
@@ -196,6 +231,14 @@ class Jobs(StoredCase):
         ids = [int(line[4:]) for line in answer.body.decode().splitlines()
                if line.startswith('id: ')]
         self.assertEqual(ids, sorted(set(ids)))
+
+    def test_a_head_of_events_waits_for_none(self):
+        made = self.post_job({'model': 'cube.obj', 'options': LONG_MODEL}).json()
+        received = self.server.exchange(f'HEAD /v1/jobs/{made["id"]}/events HTTP/1.1\r\n'
+                                        'Host: localhost\r\n\r\n'.encode())
+        self.assertIn(b'text/event-stream', received)
+        self.assertTrue(received.endswith(b'\r\n\r\n'), received)
+        self.server.curl(f'/v1/jobs/{made["id"]}', '-X', 'DELETE')
 
     def test_a_running_job_is_cancelled(self):
         made = self.post_job({'model': 'cube.obj', 'options': LONG_MODEL}).json()
@@ -288,15 +331,23 @@ class Tus(StoredCase):
         told = self.server.curl('/v1/uploads', '-X', 'OPTIONS')
         self.assertEqual((told.status, told.headers['tus-version']), (204, '1.0.0'))
         self.assertIn('creation', told.headers['tus-extension'])
-        self.assertProblem(self.server.curl('/v1/uploads', '-X', 'POST'), 412,
-                           'precondition-failed')
+        other = self.server.curl('/v1/uploads', '-X', 'POST', '-H', 'Tus-Resumable: 0.2.2')
+        self.assertProblem(other, 412, 'precondition-failed')
+        self.assertEqual(other.headers['tus-version'], '1.0.0')
+        self.assertProblem(self.create('x', 'Upload-Length: 4', 'Upload-Defer-Length: 1'), 400,
+                           'malformed-request')
         self.assertProblem(self.create('x', 'Upload-Length: -1'), 400, 'malformed-request')
         self.assertProblem(self.create('../x', 'Upload-Length: 4'), 400, 'invalid-argument')
         self.assertProblem(self.tus('/v1/uploads', 'POST', 'Upload-Length: 4',
                                     'Upload-Metadata: name %%%'), 400, 'malformed-request')
         self.assertProblem(self.patch('/v1/uploads/none', 0, b'x'), 404, 'not-found')
         where = self.create('gone', 'Upload-Length: 9').headers['location']
-        self.assertEqual(self.tus(where, 'DELETE').status, 204)
+        self.assertProblem(self.patch(where, 0, b'x', 'Upload-Length: nine'), 400,
+                           'malformed-request', "'nine'")
+        got = self.tus(where, 'POST', 'X-HTTP-Method-Override: PATCH', 'Upload-Offset: 0',
+                       'Content-Type: application/offset+octet-stream', body=b'xy')
+        self.assertEqual((got.status, got.headers['upload-offset']), (204, '2'))
+        self.assertEqual(self.tus(where, 'POST', 'X-HTTP-Method-Override: DELETE').status, 204)
         self.assertEqual(self.tus(where, 'HEAD').status, 404)
 
 
