@@ -33,6 +33,14 @@ def wait_until(condition, what, patience=PATIENCE):
     return value
 
 
+def is_symbolizer(pid):
+    """Whether a process is the helper that a sanitizer starts for its reports."""
+    try:
+        return pathlib.Path(f'/proc/{pid}/comm').read_text().startswith('llvm-symbolizer')
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
 class Server:
     """`strata serve` with free ports and a JSON log, ended with SIGTERM."""
 
@@ -82,7 +90,7 @@ class Server:
 
     def children(self):
         text = pathlib.Path(f'/proc/{self.process.pid}/task').glob('*/children')
-        return [pid for path in text for pid in path.read_text().split()]
+        return [pid for path in text for pid in path.read_text().split() if not is_symbolizer(pid)]
 
     def resident_bytes(self):
         text = pathlib.Path(f'/proc/{self.process.pid}/status').read_text()
