@@ -64,7 +64,8 @@ Answer<void> CheckGlobs(const google::protobuf::RepeatedPtrField<std::string>& g
 /// The options that decide samples as arguments: those that are there, and no defaults, so that a
 /// strata.toml of the repository keeps its say. Precondition: checked.
 void AddOptions(const v1::SampleOptions& options, std::vector<std::string>& arguments) {
-  for (const auto& [field, value] : nlohmann::json::parse(JsonOf(options)).items()) {
+  const auto fields = nlohmann::json::parse(JsonOf(options));
+  for (const auto& [field, value] : fields.items()) {
     std::string name = field;
     std::ranges::replace(name, '_', '-');
     if (!IsModelOption(name)) continue;

@@ -88,7 +88,9 @@ TEST(BatchProgressLine, SaysHowFarHowFastAndHowLongStill) {
   tally.failed = 10;
   EXPECT_EQ(BatchProgressLine(tally, 20, 25, 100),
             "300 of 1,000 models, 10 models/s, 1 min 00 s left, 10 failed");
-  EXPECT_EQ(BatchProgressLine({.models = 3}, 0, 0, 1), "0 of 3 models, 0 failed");
+  BatchTally begun;
+  begun.models = 3;
+  EXPECT_EQ(BatchProgressLine(begun, 0, 0, 1), "0 of 3 models, 0 failed");
 }
 
 }  // namespace

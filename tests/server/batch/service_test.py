@@ -45,7 +45,7 @@ class ServiceTest(batch_harness.BatchTest):
             status, batch = self.ask(server, f'/v1/batches/{number}')
             self.assertEqual(status, 200)
             return batch if batch['state'] not in ('queued', 'running') else None
-        return wait_until(look, 'the batch to end')
+        return wait_until(look, 'the batch to end', 5 * harness.PATIENCE)
 
     def manifest(self, server, number):
         text = server.curl(f'/v1/batches/{number}/manifest').body.decode()
