@@ -321,8 +321,8 @@ class BucketOutput final : public OutputPlace {
       }
     }
     std::ranges::sort(names);
-    std::ranges::stable_partition(names,
-                                  [](const std::string& name) { return name != io::kTilesetName; });
+    std::stable_partition(names.begin(), names.end(),
+                          [](const std::string& name) { return name != io::kTilesetName; });
     return names;
   }
 

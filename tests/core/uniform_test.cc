@@ -189,7 +189,9 @@ TEST(Uniform, IgnoresThreadsBatchesOrderRotationCarrierAndMemory) {
   Triangles turned = mesh;
   std::ranges::reverse(turned);
   for (std::size_t i = 0; i < turned.size(); ++i) {
-    std::ranges::rotate(turned[i], turned[i].begin() + static_cast<std::ptrdiff_t>(i % 3));
+    auto& corners = turned[i];
+    std::rotate(corners.begin(), corners.begin() + static_cast<std::ptrdiff_t>(i % 3),
+                corners.end());
   }
   const SampleResult of_turned = Sample(turned, options);
   EXPECT_TRUE(SameSamples(of_turned.samples, expected.samples));
@@ -226,7 +228,7 @@ TEST(Uniform, CountsCoincidentCopiesOnce) {
     Triangles repeated;
     for (std::size_t k = 0; k < copies; ++k) {
       for (Triangle t : mesh) {
-        std::ranges::rotate(t, t.begin() + static_cast<std::ptrdiff_t>(k % 3));
+        std::rotate(t.begin(), t.begin() + static_cast<std::ptrdiff_t>(k % 3), t.end());
         repeated.push_back(t);
       }
     }
