@@ -107,7 +107,7 @@ constexpr std::array<OptionRow, 22> kOptionRows = {{
 constexpr std::array<FlagRow, 4> kFlagRows = {{
     {"--strict", kHow, "A triangle that would be skipped is an error instead.", &RawSample::strict},
     {"--assimp", kHow,
-     "Let formats that Strata does not read itself (FBX, COLLADA, 3DS, …)\n"
+     "Let formats that Strata does not read itself (FBX, COLLADA, 3DS, ...)\n"
      "be read by assimp, in a process of its own that is shut in.",
      &RawSample::assimp},
     {"--resume", kRun,

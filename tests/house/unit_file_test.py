@@ -57,7 +57,7 @@ class Unit(unittest.TestCase):
             done = subprocess.run([ARGUMENTS.strata, 'serve', '--config', path],
                                   capture_output=True, text=True, timeout=60)
         self.assertEqual(done.returncode, 2)
-        self.assertIn("--http: found '127.0.0.1:none'", done.stderr)
+        self.assertIn(": http: found '127.0.0.1:none'", done.stderr)
 
 
 def main():

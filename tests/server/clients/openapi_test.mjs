@@ -216,7 +216,7 @@ async function askEverything(judge) {
   const model = { at: '/v1/models/a/cube.obj' };
   const put = await judge.ask('put', '/v1/models/{name}', 201, { ...model, body: mesh });
   await judge.ask('put', '/v1/models/{name}', 200, { ...model, body: mesh });
-  await judge.ask('put', '/v1/models/{name}', 409,
+  await judge.ask('put', '/v1/models/{name}', 412,
                   { ...model, body: mesh, headers: { 'If-None-Match': '*' } });
   await judge.ask('put', '/v1/models/{name}', 413, { at: '/v1/models/large', body: Buffer.alloc(2 << 20) });
   await judge.ask('put', '/v1/models/{name}', 403,
