@@ -25,7 +25,7 @@ Ticket::~Ticket() {
   if (admission_) admission_->Leave(bytes_);
 }
 
-Answer<Ticket> Admission::Enter(std::uint64_t bytes, const std::function<bool()>& gone) {
+Answer<Ticket> Admission::Enter(std::uint64_t bytes, const std::function<bool()>& gone, Full full) {
   if (bytes > limits_.memory_bytes) {
     return Refuse(Error{ErrorCode::kOverBudget, "the job asks for " + std::to_string(bytes) +
                                                     " bytes of memory, all jobs together have " +
@@ -35,7 +35,8 @@ Answer<Ticket> Admission::Enter(std::uint64_t bytes, const std::function<bool()>
   const auto fits = [&] {
     return running_ < limits_.jobs && taken_ + bytes <= limits_.memory_bytes;
   };
-  if (waiting_.size() >= limits_.waiting && !(waiting_.empty() && fits())) {
+  const bool place_left = waiting_.size() < limits_.waiting || (waiting_.empty() && fits());
+  if (!place_left && full == Full::kRefuse) {
     return Refuse(Refusal::kUnavailable,
                   std::to_string(waiting_.size()) + " jobs wait already, which is the limit",
                   kRetryAfter);

@@ -44,11 +44,15 @@ class Admission {
   Admission(const Limits& limits, Watcher changed)
       : limits_(limits), changed_(std::move(changed)) {}
 
+  /// What happens where as many wait already as may: a client that asks now is told to come again;
+  /// what was accepted before, and is kept in a queue of its own, waits all the same.
+  enum class Full { kRefuse, kWait };
+
   /// Waits for a place and `bytes` of memory, first come, first served. Calls `gone` about 20 times
   /// a second; true ends the wait with kCancelled.
-  /// Refuses: kUnavailable when as many wait already as may; over-limit when `bytes` are more than
-  /// there are in all.
-  Answer<Ticket> Enter(std::uint64_t bytes, const std::function<bool()>& gone);
+  /// Refuses: kUnavailable when as many wait already as may, and `full` says so; over-limit when
+  /// `bytes` are more than there are in all.
+  Answer<Ticket> Enter(std::uint64_t bytes, const std::function<bool()>& gone, Full full);
 
  private:
   friend class Ticket;

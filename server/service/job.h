@@ -16,6 +16,8 @@ namespace strata::server {
 struct JobWatch {
   std::function<bool()> gone;  ///< True: nobody wants the result any more.
   std::function<void(const v1::Progress&)> progress;
+  /// It was accepted before, and waits however many others do.
+  bool accepted = false;
   /// As in internal::WorkerJob; what is left there is the waiter's to remove.
   std::string checkpoint_folder, checkpoint_key;
 };

@@ -98,7 +98,9 @@ Answer<Sampled> Service::Sample(const v1::SampleOptions& options, int mesh, cons
     queued.set_stage(v1::Progress::queue);
     watch.progress(queued);
   }
-  const auto ticket = admission_.Enter(job.memory_bytes(), either.gone);
+  const auto ticket =
+      admission_.Enter(job.memory_bytes(), either.gone,
+                       watch.accepted ? Admission::Full::kWait : Admission::Full::kRefuse);
   if (!ticket) return Pass(ticket);
   return Run(job, mesh, either);
 }

@@ -107,9 +107,10 @@ class Service {
   Answer<BatchService*> batches() const;
   /// Null: none. Set before the service is shared.
   void SetBatches(BatchService* batches) { batches_ = batches; }
-  /// A place and memory among the jobs, for as long as a batch runs. Refuses: as Admission::Enter.
+  /// A place and memory among the jobs, for as long as a batch runs; it was
+  /// accepted before. Refuses: over-limit, cancelled.
   Answer<Ticket> AdmitBatch(std::uint64_t bytes, const std::function<bool()>& gone) {
-    return admission_.Enter(bytes, gone);
+    return admission_.Enter(bytes, gone, Admission::Full::kWait);
   }
 
   /// Whether new requests are taken.

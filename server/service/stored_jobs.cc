@@ -212,6 +212,7 @@ void StoredService::RunClaimed(const JobStore::Claimed& claimed) {
     }
     return fate.cancelled || fate.lost || stopping_;
   };
+  watch.accepted = true;
   if (checkpoints_) {
     watch.checkpoint_folder = checkpoints_->folder();
     watch.checkpoint_key = checkpoints_->KeyOf(job);

@@ -2,6 +2,7 @@
 """Limits: what is over one is told so, what is within goes on meanwhile."""
 import concurrent.futures
 import signal
+import tempfile
 import unittest
 
 import harness
@@ -73,6 +74,22 @@ class Busy(unittest.TestCase):
         answer = server.curl('/v1/samples?resolution=3', body=CUBE)
         ServerCase.assertProblem(self, answer, 503, 'unavailable')
         self.assertGreaterEqual(int(answer.headers['retry-after']), 1)
+
+    def test_an_accepted_job_waits_however_full_the_queue_is(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        server = self.serve('--jobs', '1', '--queue', '1', '--data', folder.name)
+        server.curl('/v1/models/cube.obj', '-X', 'PUT', body=CUBE)
+        clients = self.start_long(server, 2)
+        self.assertEqual(server.curl('/v1/samples?resolution=3', body=CUBE).status, 503)
+        made = server.curl('/v1/jobs', '-H', 'Content-Type: application/json',
+                           body=b'{"model": "cube.obj", "options": {"resolution": 5}}')
+        self.assertEqual(made.status, 202, made.body)
+        harness.wait_until(lambda: server.metric('strata_jobs_waiting') == 2, 'the job to wait')
+        for client in clients:
+            client.close()
+        job = server.curl(made.headers['location'] + '?wait=60').json()
+        self.assertEqual(job['state'], 'succeeded', job)
 
     def test_connections_beyond_the_limit_are_turned_away(self):
         server = self.serve('--connections', '3')
