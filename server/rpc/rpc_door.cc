@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
+#include <poll.h>
 #include <sys/epoll.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
@@ -15,6 +16,9 @@
 
 namespace strata::server {
 namespace {
+
+/// How long waiting clients are left alone while no descriptor is free.
+constexpr int kDescriptorWaitMs = 20;
 
 bool Watch(int events, int descriptor, std::uint32_t what) {
   epoll_event event{};
@@ -72,7 +76,8 @@ void RpcDoor::AcceptOne() {
   io::Fd socket(accept4(options_.listener.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK));
   if (!socket) {
     // Out of descriptors: the ones that end give theirs back.
-    if (errno == EMFILE || errno == ENFILE) std::this_thread::yield();
+    pollfd stop = {stop_.get(), POLLIN, 0};
+    if (errno == EMFILE || errno == ENFILE) poll(&stop, 1, kDescriptorWaitMs);
     return;
   }
   // Closed without a word: to a client that has heard HTTP/2's hello, a goodbye is a reason to come
