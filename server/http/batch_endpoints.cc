@@ -70,6 +70,7 @@ void GetBatchEvents(Service& service, Exchange& exchange, const std::string& id)
     return exchange.RespondProblem(batch.error());
   }
   exchange.BeginStream(200, {{"Content-Type", "text/event-stream"}, {"Cache-Control", "no-store"}});
+  if (exchange.method() == "HEAD") return;
   static_cast<void>((*batches)->Watch(
       id, [&](const v1::Batch& batch) { return exchange.Stream(EventText(batch)); },
       [&exchange] { return exchange.ClientGone(); }));
