@@ -74,6 +74,9 @@ class Batches(ServiceTest):
                 self.assertEqual(got.body, (self.out / line['output']).read_bytes(), path)
         events = server.curl(f'/v1/batches/{number}/events').body.decode()
         self.assertEqual(events.count('event: batch'), 1, 'it has ended')
+        head = server.exchange(f'HEAD /v1/batches/{number}/events HTTP/1.1\r\n'
+                               'Host: localhost\r\n\r\n'.encode())
+        self.assertTrue(head.endswith(b'\r\n\r\n'), head)
         for path in ('.strata/progress.json', '../batch.json', 'manifest.jsonl', 'absent', ''):
             status, problem = self.ask(server, f'/v1/batches/{number}/output?path={path}')
             self.assertIn(status, (400, 404), f'{path}: {problem}')
