@@ -151,12 +151,13 @@ void Failures(std::ostream& out, const Report& report) {
   if (report.reasons.empty()) return;
   out << "<h2>Failures by reason</h2>\n<table><thead><tr><th>reason</th><th class=\"n\">models"
          "</th><th>one of them</th></tr></thead><tbody>\n";
-  for (const auto& [reason, count] : report.reasons) {
+  for (const auto& entry : report.reasons) {
+    const std::string& reason = entry.first;
     const auto first = std::ranges::find_if(report.rows, [&](const ReportRow& row) {
       return !row.line.sampled && row.line.error_type == reason;
     });
-    out << "<tr><td>" << Foreign(reason) << "</td><td class=\"n\">" << Grouped(count) << "</td><td>"
-        << Foreign(first->line.error_message) << "</td></tr>\n";
+    out << "<tr><td>" << Foreign(reason) << "</td><td class=\"n\">" << Grouped(entry.second)
+        << "</td><td>" << Foreign(first->line.error_message) << "</td></tr>\n";
   }
   out << "</tbody></table>\n";
 }

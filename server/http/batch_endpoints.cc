@@ -22,8 +22,7 @@ void RespondWith(Service& service, Exchange& exchange, Work work) {
 
 void RespondContent(Exchange& exchange, const Answer<Content>& content) {
   if (!content) return exchange.RespondProblem(content.error());
-  RespondConditional(exchange, *content,
-                     {{"Content-Type", content->media_type}, {"Cache-Control", "no-store"}});
+  RespondConditional(exchange, *content, {{"Cache-Control", "no-store"}});
 }
 
 Answer<v1::Batch> Create(Service& service, Exchange& exchange) {
