@@ -55,14 +55,23 @@ void ListBatches(Service& service, Exchange& exchange, const std::string&) {
 }
 
 void GetBatch(Service& service, Exchange& exchange, const std::string& id) {
+  if (auto none = CheckNoParameters(exchange.target()); !none) {
+    return exchange.RespondProblem(none.error());
+  }
   RespondWith(service, exchange, [&](BatchService& batches) { return batches.Get(id); });
 }
 
 void DeleteBatch(Service& service, Exchange& exchange, const std::string& id) {
+  if (auto none = CheckNoParameters(exchange.target()); !none) {
+    return exchange.RespondProblem(none.error());
+  }
   RespondWith(service, exchange, [&](BatchService& batches) { return batches.Cancel(id); });
 }
 
 void GetBatchEvents(Service& service, Exchange& exchange, const std::string& id) {
+  if (auto none = CheckNoParameters(exchange.target()); !none) {
+    return exchange.RespondProblem(none.error());
+  }
   const auto batches = service.batches();
   if (!batches) return exchange.RespondProblem(batches.error());
   if (const auto batch = (*batches)->Get(id); !batch) {
@@ -76,6 +85,9 @@ void GetBatchEvents(Service& service, Exchange& exchange, const std::string& id)
 }
 
 void GetBatchManifest(Service& service, Exchange& exchange, const std::string& id) {
+  if (auto none = CheckNoParameters(exchange.target()); !none) {
+    return exchange.RespondProblem(none.error());
+  }
   const auto batches = service.batches();
   if (!batches) return exchange.RespondProblem(batches.error());
   RespondContent(exchange, (*batches)->OpenManifest(id));
