@@ -324,7 +324,7 @@ std::unique_ptr<CLI::App> MakeServeApp(std::optional<std::string>& file, ServeTe
                                        ServeMode mode) {
   const bool worker = mode == ServeMode::kWorker;
   auto app = std::make_unique<CLI::App>(
-      worker ? "Runs jobs of a database that several processes share until SIGTERM or Ctrl-C."
+      worker ? "Runs jobs of a database that several processes share."
              : "Serves sampling over HTTP and gRPC until SIGTERM or Ctrl-C.",
       worker ? "strata worker" : "strata serve");
   app->set_help_flag("-h,--help", "Print this and stop.");

@@ -28,8 +28,7 @@ std::string LongName(std::string_view names) {
   return std::string(names.substr(names.find("--") + 2));
 }
 
-constexpr const char* kBatchSummary =
-    "Samples every mesh below a folder or in a bucket; safe to run again.";
+constexpr const char* kBatchSummary = "Samples every mesh below a folder or in a bucket.";
 constexpr const char* kBatchUsage = "\nUsage: strata batch REPO -o OUT [options]\n";
 constexpr const char* kReportSummary = "Says what the batches in these folders came to.";
 constexpr const char* kReportUsage = "\nUsage: strata report OUT... [options]\n";

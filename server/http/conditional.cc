@@ -48,13 +48,15 @@ bool HasTag(const std::string& list, const std::string& tag, TagMatch match) {
 }
 
 void RespondConditional(Exchange& exchange, const Content& content, Headers headers) {
-  headers.emplace_back("ETag", content.etag);
-  const std::string match = exchange.header("If-Match");
+  const bool tagged =
+      !content.etag.empty();  // What still grows has no tag, and holds no condition.
+  if (tagged) headers.emplace_back("ETag", content.etag);
+  const std::string match = tagged ? exchange.header("If-Match") : "";
   if (!match.empty() && !HasTag(match, content.etag, TagMatch::kStrong)) {
     return exchange.RespondProblem(
         ProblemOf(Refusal::kPrecondition, "If-Match: the entity tag is " + content.etag));
   }
-  const std::string none_match = exchange.header("If-None-Match");
+  const std::string none_match = tagged ? exchange.header("If-None-Match") : "";
   if (!none_match.empty() && HasTag(none_match, content.etag, TagMatch::kWeak)) {
     return exchange.Respond(304, headers, "");
   }
@@ -62,7 +64,7 @@ void RespondConditional(Exchange& exchange, const Content& content, Headers head
   headers.emplace_back("Accept-Ranges", "bytes");
   const std::string condition = exchange.header("If-Range");
   std::optional<ByteRange> range;
-  const bool fits = condition.empty() || condition == content.etag;
+  const bool fits = condition.empty() || (tagged && condition == content.etag);
   if (fits && exchange.method() == "GET") {  // No other method has ranges.
     range = ParseRange(exchange.header("Range"), content.size);
   }

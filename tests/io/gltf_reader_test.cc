@@ -268,30 +268,31 @@ std::string MeshoptSquare(bool damaged) {
   sequence.resize(meshopt_encodeIndexSequence(sequence.data(), sequence.size(), corners.data(), 6));
   const auto compressed = [&](const auto& bytes, int stride, int count, const char* mode) {
     const int view = maker.View(bytes);
-    Json& json = maker.json["bufferViews"][static_cast<std::size_t>(view)];
-    Json extension = json;
+    Json extension = maker.json["bufferViews"][static_cast<std::size_t>(view)];
     extension["byteStride"] = stride;
     extension["count"] = count;
     extension["mode"] = mode;
     // What a reader without the extension would take; there is nothing.
-    json = {{"buffer", 0},
-            {"byteLength", stride * count},
-            {"extensions", {{"EXT_meshopt_compression", extension}}}};
-    if (std::string(mode) == "ATTRIBUTES") json["byteStride"] = stride;
+    Json placed = Json::object();
+    placed["buffer"] = 0;
+    placed["byteLength"] = stride * count;
+    placed["extensions"]["EXT_meshopt_compression"] = std::move(extension);
+    if (std::string(mode) == "ATTRIBUTES") placed["byteStride"] = stride;
+    maker.json["bufferViews"][static_cast<std::size_t>(view)] = std::move(placed);
     return view;
   };
-  const int p = maker.Accessor({{"bufferView", compressed(packed, 8, 4, "ATTRIBUTES")},
-                                {"componentType", 5123},
-                                {"count", 4},
-                                {"type", "VEC3"}});
-  maker.Primitive(p, maker.Accessor({{"bufferView", compressed(list, 2, 6, "TRIANGLES")},
-                                     {"componentType", 5123},
-                                     {"count", 6},
-                                     {"type", "SCALAR"}}));
-  maker.Primitive(p, maker.Accessor({{"bufferView", compressed(sequence, 4, 6, "INDICES")},
-                                     {"componentType", 5125},
-                                     {"count", 6},
-                                     {"type", "SCALAR"}}));
+  const int vertices = compressed(packed, 8, 4, "ATTRIBUTES");
+  const int triangles = compressed(list, 2, 6, "TRIANGLES");
+  const int indices = compressed(sequence, 4, 6, "INDICES");
+  const int p = maker.Accessor(
+      {{"bufferView", vertices}, {"componentType", 5123}, {"count", 4}, {"type", "VEC3"}});
+  maker.Primitive(
+      p,
+      maker.Accessor(
+          {{"bufferView", triangles}, {"componentType", 5123}, {"count", 6}, {"type", "SCALAR"}}));
+  maker.Primitive(
+      p, maker.Accessor(
+             {{"bufferView", indices}, {"componentType", 5125}, {"count", 6}, {"type", "SCALAR"}}));
   maker.json["extensionsRequired"] = {"EXT_meshopt_compression", "KHR_mesh_quantization"};
   return maker.Glb();
 }

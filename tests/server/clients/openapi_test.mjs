@@ -143,7 +143,7 @@ class Judge {
     const type = answer.headers.get('content-type').split(';')[0];
     const found = types.includes(type) ? type : types.includes('*/*') ? '*/*' : undefined;
     assert(found, `${where}: found ${type}, expected ${types}`);
-    if (!type.endsWith('json')) return undefined;
+    if (!type.endsWith('json') || type.endsWith('ndjson')) return undefined;
     const json = JSON.parse(body);
     this.check(where, pointerOf(this.document, place, found), json);
     return json;
