@@ -151,7 +151,7 @@ class Disk:
                        self.temporary):
             found |= {f'{folder.name}: {name}' for name in os.listdir(folder)}
         allowed = {'lock', 'strata.db', 'strata.db-wal', 'strata.db-shm', 'blobs', 'incoming',
-                   'uploads', 'checkpoints'}
+                   'uploads', 'checkpoints', 'batches'}
         return found | {f'data: {name}' for name in set(os.listdir(self.data)) - allowed}
 
     def halves(self):

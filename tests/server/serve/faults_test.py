@@ -122,6 +122,8 @@ class Faults(unittest.TestCase):
 
     def test_a_good_request_to_every_endpoint_is_answered_well(self):
         for row, request in self.requests():
+            if row[1].startswith('/v1/batches'):
+                continue  # Good ones are in tests/server/batch/service_test.py.
             with self.subTest(row=row):
                 status = self.ask(*request).status
                 self.assertTrue(status < 400 or row[0] == 'DELETE' and status == 404, status)
@@ -237,7 +239,8 @@ class Faults(unittest.TestCase):
                     with self.subTest(method=method, option=option, number=number[:30]):
                         answer = self.ask(method, f'{base}{option}={number}', None,
                                           CUBE if method == 'POST' else b'')
-                        self.assertProblem(answer, 400, 'invalid-argument', option)
+                        named = 'attribute' if option == 'attributes' else option
+                        self.assertProblem(answer, 400, 'invalid-argument', named)
         for path in (f'/v1/jobs/{self.job}?wait=', '/v1/models?page_size=', '/v1/jobs?page_size=',
                      '/v1/jobs?created_after=', '/v1/jobs?created_before=', '/v1/jobs?page_token=',
                      '/v1/models?page_token='):
