@@ -1,7 +1,10 @@
 #include "server/pages/man_page.h"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
+#include <cstdint>
+#include <cstdio>
 #include <sstream>
 #include <string_view>
 #include <vector>
@@ -11,11 +14,26 @@
 namespace strata::server {
 namespace {
 
+/// The character that begins at `at`, beyond ASCII, by its number, as roff takes it whatever
+/// encoding it reads; moves `at` to its last byte. The help's texts are UTF-8.
+std::string ByNumber(std::string_view text, std::size_t& at) {
+  const auto first = static_cast<unsigned char>(text[at]);
+  const int more = first >= 0xF0 ? 3 : first >= 0xE0 ? 2 : 1;
+  std::uint32_t number = first & (0x3Fu >> more);
+  for (int i = 0; i < more && at + 1 < text.size(); ++i) {
+    number = number << 6 | (static_cast<unsigned char>(text[++at]) & 0x3F);
+  }
+  std::array<char, 16> name;
+  std::snprintf(name.data(), name.size(), "\\[u%04X]", static_cast<unsigned>(number));
+  return name.data();
+}
+
 /// Text as roff prints it unchanged. What stands between backquotes becomes bold.
 std::string Escaped(std::string_view text) {
   std::string out;
   bool bold = false;
-  for (const char c : text) {
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const char c = text[i];
     switch (c) {
       case '\\':
         out += "\\e";
@@ -40,7 +58,7 @@ std::string Escaped(std::string_view text) {
         out += bold ? "\\fB" : "\\fR";
         break;
       default:
-        out += c;
+        out += static_cast<unsigned char>(c) < 0x80 ? std::string(1, c) : ByNumber(text, i);
     }
   }
   // A dot at the beginning would be a request.

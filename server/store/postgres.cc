@@ -141,10 +141,12 @@ Result<PgLease> PostgresDatabase::Acquire() {
                                       std::to_string(limit_) + " connections are busy");
     }
     ++in_use_;
-    if (!idle_.empty()) {
-      PgLease lease(*this, std::move(idle_.back()), false);
+    while (!idle_.empty()) {
+      auto connection = std::move(idle_.back());
       idle_.pop_back();
-      return lease;
+      // One that the server has closed meanwhile says so without being asked anything.
+      if (PQconsumeInput(connection->handle()) == 0 || !connection->alive()) continue;
+      return PgLease(*this, std::move(connection), false);
     }
   }
   auto connection = Connect();

@@ -148,11 +148,17 @@ void ResultCache::HearOfFlight(const std::string& key) {
 }
 
 void ResultCache::Look() {
-  std::set<std::string> waiting;
+  std::set<std::string> waiting, unended;
   {
     const std::lock_guard lock(flights_mutex_);
     waiting = elsewhere_;
+    unended.swap(unended_);
+    // Led again, and to be ended by who leads.
+    std::erase_if(unended, [this](const std::string& key) {
+      return flights_.contains(key) && !elsewhere_.contains(key);
+    });
   }
+  for (const std::string& key : unended) GiveUpLead(key);
   for (const std::string& key : waiting) {
     bool flies = false;
     auto asked = parts_.database.Read().Query(
@@ -163,12 +169,17 @@ void ResultCache::Look() {
 }
 
 void ResultCache::EndFlight(const std::string& key, const std::optional<Error>& error) {
-  if (parts_.database.shared()) {
-    // Where this fails the process's next lead, or its end, takes the row away.
-    (void)parts_.database.Read().Run("DELETE FROM flights WHERE key = ? AND process = ?", key,
-                                     parts_.blobs.membership().id());
-  }
+  if (parts_.database.shared()) GiveUpLead(key);
   EndWaits(key, error);
+}
+
+void ResultCache::GiveUpLead(const std::string& key) {
+  auto ended = parts_.database.Read().Run("DELETE FROM flights WHERE key = ? AND process = ?", key,
+                                          parts_.blobs.membership().id());
+  if (ended) return;
+  // Others would wait for as long as this process lives: Look tries again.
+  const std::lock_guard lock(flights_mutex_);
+  unended_.insert(key);
 }
 
 void ResultCache::EndWaits(const std::string& key, const std::optional<Error>& error) {

@@ -117,7 +117,8 @@ class ResultCache {
 
   /// In a shared store: another process's computation of `key` has ended.
   void HearOfFlight(const std::string& key);
-  /// Something may have been missed: ends the waits for computations that are no more.
+  /// Something may have been missed: ends the waits for computations that are no more, here and
+  /// elsewhere.
   void Look();
   CacheCounts counts() const { return {hits_, misses_, waits_, evictions_}; }
 
@@ -134,6 +135,7 @@ class ResultCache {
   void EndFlight(const std::string& key, const std::optional<Error>& error);
   void EndWaits(const std::string& key, const std::optional<Error>& error);
   Result<bool> TakeLead(const std::string& key);
+  void GiveUpLead(const std::string& key);
   void Touch(const std::string& key);
   std::int64_t NextUse();
 
@@ -142,6 +144,7 @@ class ResultCache {
   std::mutex flights_mutex_;  // Taken before the locks of blobs and database.
   std::unordered_map<std::string, std::shared_ptr<ResultWait>> flights_;
   std::set<std::string> elsewhere_;  // Those of flights_ that another process leads.
+  std::set<std::string> unended_;    // Led here once; the database was away when they ended.
   std::mutex uses_mutex_;
   std::int64_t last_use_ = 0;                           // Counts uses: finer than any clock.
   std::unordered_map<std::string, std::int64_t> uses_;  // Not in the database yet.

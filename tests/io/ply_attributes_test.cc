@@ -198,7 +198,7 @@ TEST(PlyAttributes, GiveTheSameOutOfMemory) {
   const std::string text = MakePly("ascii", Sheet(true));
   Options options = WithAttributes({"all"});
   options.attributes = kAllAttributes;
-  options.lattice = Resolution{400};
+  options.lattice = Resolution{300};
   options.batch_size = 64;
   options.min_distance = 0.3;
   const auto expected = Sample(file, options);
@@ -206,18 +206,16 @@ TEST(PlyAttributes, GiveTheSameOutOfMemory) {
   TempFolder folder;
   const auto scratch = ScratchFolder::Open(folder.path());
   for (const std::string* const bytes : {&file, &text}) {
-    for (const std::uint64_t budget : {std::uint64_t{26} << 20, std::uint64_t{48} << 20}) {
-      options.threads = budget >> 20 == 26 ? 1 : 2;
-      RunContext context(budget);
-      context.SetScratch(scratch->get());
-      auto reader = OpenMesh(MemorySource(*bytes, "mesh.ply"));
-      ASSERT_TRUE(reader);
-      const auto result = SampleMesh(**reader, options, context);
-      ASSERT_TRUE(result) << result.error().message;
-      EXPECT_TRUE(test::SameSamples(expected->samples, result->samples));
-      EXPECT_EQ(expected->samples.triangle, result->samples.triangle);
-      EXPECT_TRUE(expected->samples.carried == result->samples.carried);
-    }
+    options.threads = bytes == &file ? 1 : 2;
+    RunContext context(std::uint64_t{26} << 20);  // Half of it does not hold the samples.
+    context.SetScratch(scratch->get());
+    auto reader = OpenMesh(MemorySource(*bytes, "mesh.ply"));
+    ASSERT_TRUE(reader);
+    const auto result = SampleMesh(**reader, options, context);
+    ASSERT_TRUE(result) << result.error().message;
+    EXPECT_TRUE(test::SameSamples(expected->samples, result->samples));
+    EXPECT_EQ(expected->samples.triangle, result->samples.triangle);
+    EXPECT_TRUE(expected->samples.carried == result->samples.carried);
   }
 }
 

@@ -90,7 +90,7 @@ class WorkersDie(BatchTest):
                                   if each and each not in hit), None), 'a busy worker')
                 hit.add(worker)
                 os.kill(worker, number)
-            _, text = running.communicate(timeout=4 * batch_harness.PATIENCE)
+            _, text = running.communicate(timeout=2 * batch_harness.PATIENCE)
         finally:
             running.kill()
         self.assertEqual(running.returncode, status, text)

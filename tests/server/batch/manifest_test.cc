@@ -111,17 +111,17 @@ TEST_F(ManifestFile, EveryPrefixHoldsTheWholeLinesOfIt) {
   }
   const std::string whole = ReadFile(path);
   for (std::size_t size = 0; size <= whole.size(); ++size) {
-    WriteFile(path, whole.substr(0, size));
-    {
-      const auto manifest = Open();
-      const std::string left = whole.substr(0, size);
-      const auto lines = static_cast<std::size_t>(std::count(left.begin(), left.end(), '\n'));
-      ASSERT_EQ(manifest->Paths().size(), lines) << "of " << size << " bytes";
-      ASSERT_TRUE(manifest->Append(Sampled("d")));
-    }
+    const std::string left = whole.substr(0, size);
+    const auto lines = static_cast<std::size_t>(std::count(left.begin(), left.end(), '\n'));
+    WriteFile(path, left);
+    const auto reader = ManifestReader::Open(path);
+    ASSERT_TRUE(reader) << "of " << size << " bytes: " << reader.error().message;
+    ASSERT_EQ(reader->size(), lines) << "of " << size << " bytes";
+    if (size % 97 != 0) continue;  // What is appended is synced to disk.
+    ASSERT_TRUE(Open()->Append(Sampled("d")));
     const auto again = ManifestReader::Open(path);
     ASSERT_TRUE(again) << "after " << size << " bytes: " << again.error().message;
-    ASSERT_TRUE(again->Find("d")->has_value()) << "after " << size << " bytes";
+    ASSERT_EQ(again->size(), lines + 1) << "after " << size << " bytes";
   }
 }
 

@@ -9,11 +9,10 @@ import sys
 import unittest
 
 import batch_harness
-from batch_harness import cube, unmeasured
+from batch_harness import cube, unmeasured, wait_until
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent / 'serve'))
 import harness  # noqa: E402  The service's own.
-from harness import wait_until  # noqa: E402
 
 
 class ServiceTest(batch_harness.BatchTest):
@@ -45,7 +44,7 @@ class ServiceTest(batch_harness.BatchTest):
             status, batch = self.ask(server, f'/v1/batches/{number}')
             self.assertEqual(status, 200)
             return batch if batch['state'] not in ('queued', 'running') else None
-        return wait_until(look, 'the batch to end', 5 * harness.PATIENCE)
+        return wait_until(look, 'the batch to end')
 
     def manifest(self, server, number):
         text = server.curl(f'/v1/batches/{number}/manifest').body.decode()

@@ -177,6 +177,27 @@ TEST_F(ResultCacheTest, AFailureIsToldToAllWhoWaitAndIsNotRemembered) {
   EXPECT_TRUE(cache().Enter("key")->lead) << "the next may try";
 }
 
+TEST_F(ResultCacheTest, ProcessesComputeAResultOnceAndPassTheLeadOn) {
+  if (!shared()) GTEST_SKIP() << "one process alone";
+  auto other = Store::Open(options, clock);
+  ASSERT_OK(other);
+  ResultCache& theirs = (*other)->results();
+  auto lead = cache().Enter("key");
+  ASSERT_OK(lead);
+  ASSERT_TRUE(lead->lead);
+  auto waiting = theirs.Enter("key");
+  ASSERT_OK(waiting);
+  ASSERT_TRUE(waiting->wait);
+  // The database is away just as the lead ends.
+  ASSERT_OK(store->database().Read().RunScript("ALTER TABLE flights RENAME TO hidden"));
+  lead->lead.reset();
+  ASSERT_OK(store->database().Read().RunScript("ALTER TABLE hidden RENAME TO flights"));
+  EXPECT_FALSE(waiting->wait->Wait(Milliseconds(0)));
+  cache().Look();
+  EXPECT_TRUE(waiting->wait->Wait(std::chrono::seconds(20)));
+  EXPECT_TRUE(theirs.Enter("key")->lead);
+}
+
 TEST_F(ResultCacheTest, ADamagedResultIsComputedAgain) {
   ASSERT_OK(Fill("key", "samples"));
   std::filesystem::remove(BlobFile("samples"));
