@@ -176,8 +176,6 @@ class NodesCase(unittest.TestCase):
 class SharedQueueTest(NodesCase):
     def test_a_job_made_at_one_node_runs_at_another_and_is_watched_at_a_third(self):
         first, second = (self.serve('--jobs', '1') for _ in range(2))
-        watcher = subprocess.Popen(['true'])
-        watcher.wait()
         worker = self.worker('--jobs', '2', '--http', '127.0.0.1:0')
         ids = {seed: self.post(first, 60, seed=seed) for seed in range(6)}
         for seed, id in ids.items():
@@ -267,7 +265,6 @@ class FaultsTest(NodesCase):
         server.process.send_signal(signal.SIGSTOP)
         sleeper = self.worker('--jobs', '1')
         server.process.send_signal(signal.SIGCONT)
-        server2 = None
         # One that the sleeper has: ask until it is the one to get a job.
         for seed in range(50):
             id = self.post(server, 500, seed=seed)
@@ -359,22 +356,25 @@ class FaultsTest(NodesCase):
 
     def test_a_restart_of_postgresql_under_load_loses_nothing(self):
         server = self.serve('--jobs', '1')
-        self.worker('--jobs', '1')
-        jobs = {self.post(server, 80, seed=seed): seed for seed in range(10)}
-        POSTGRES.stop_server('fast')
-        try:
-            answer = server.curl('/v1/jobs', '-H', 'Content-Type: application/json',
-                                 body=b'{"model":"spot.obj","options":{"resolution":9}}')
-            self.assertEqual(answer.status, 503, answer.body)
-            self.assertIn('retry-after', answer.headers)
-            self.assertEqual(server.curl('/readyz').status, 503)
-            self.assertEqual(server.curl('/livez').status, 200)
-        finally:
-            POSTGRES.start()
-        wait_until(lambda: server.curl('/readyz').status == 200, 'the service to be ready again')
+        self.worker('--jobs', '1', '--max-attempts', '9')
+        jobs = {}
+        for round, mode in enumerate(('fast', 'immediate')):
+            jobs |= {self.post(server, 150, seed=20 * round + n): 20 * round + n for n in range(8)}
+            wait_until(lambda: self.sql('SELECT 1 FROM strata.jobs WHERE state = 1'), 'a job to run')
+            POSTGRES.stop_server(mode)
+            try:
+                answer = server.curl('/v1/jobs', '-H', 'Content-Type: application/json',
+                                     body=b'{"model":"spot.obj","options":{"resolution":9}}')
+                self.assertEqual(answer.status, 503, answer.body)
+                self.assertIn('retry-after', answer.headers)
+                self.assertEqual(server.curl('/readyz').status, 503)
+                self.assertEqual(server.curl('/livez').status, 200)
+            finally:
+                POSTGRES.start()
+            wait_until(lambda: server.curl('/readyz').status == 200, 'the service to be ready')
         for id, seed in jobs.items():
             self.assertEqual(self.ended(server, id)['state'], 'succeeded')
-        self.assertCommandsBytes(server, next(iter(jobs)), 80, next(iter(jobs.values())))
+        self.assertCommandsBytes(server, next(iter(jobs)), 150, next(iter(jobs.values())))
 
     def test_a_job_that_kills_its_processes_has_failed_with_its_history(self):
         server = self.serve('--jobs', '1', '--max-attempts', '2')
