@@ -43,10 +43,12 @@ class Hostile(ServerCase):
                 self.assertTrue(answer == b'' or answer.startswith(b'HTTP/1.1 4'), answer)
 
     def test_targets_that_are_no_paths_are_refused(self):
-        for target in (b'*', b'http://other/', b'livez', b'/%', b'/%zz', b'/%00', b'/livez%0a',
+        for target in (b'*', b'livez', b'/%', b'/%zz', b'/%00', b'/livez%0a',
                        b'/%ff', b'/v1/samples?a=%', b'/v1/samples?%00=1'):
             raw = b'GET ' + target + b' HTTP/1.1\r\n' + HOST + b'Connection: close\r\n\r\n'
             self.assertRefused(raw, 400, 'malformed-request')
+        self.assertRefused(b'GET http://other/ HTTP/1.1\r\n' + HOST + b'Connection: close\r\n\r\n', 421,
+                           'misdirected-request')
         for target in (b'/../../etc/passwd', b'/%2e%2e/etc/passwd', b'//livez', b'/livez/',
                        b'/v1/samples/../../livez'):
             raw = b'GET ' + target + b' HTTP/1.1\r\n' + HOST + b'Connection: close\r\n\r\n'
@@ -55,7 +57,7 @@ class Hostile(ServerCase):
     def test_large_headers_are_refused(self):
         long_one = b'GET /livez HTTP/1.1\r\nA: ' + b'x' * 5000 + b'\r\n\r\n'
         self.assertRefused(long_one, 431, 'header-too-large')
-        many = b'GET /livez HTTP/1.1\r\n' + b'A: b\r\n' * 21 + b'\r\n'
+        many = b'GET /livez HTTP/1.1\r\n' + HOST + b'A: b\r\n' * 21 + b'\r\n'
         self.assertRefused(many, 431, 'header-too-large')
         endless = b'GET /' + b'a' * 100_000
         self.assertRefused(endless, 431, 'header-too-large')
