@@ -278,8 +278,9 @@ class FaultsTest(NodesCase):
         sleeper.process.send_signal(signal.SIGSTOP)
         job = self.ended(server, id)
         self.assertEqual(job['state'], 'succeeded')
-        self.assertEqual([entry['why'] for entry in job['history']],
-                         ['its lease ran out', 'succeeded'])
+        whys = [entry['why'] for entry in job['history']]
+        # On a busy machine another lease may run out, too.
+        self.assertEqual((set(whys[:-1]), whys[-1]), ({'its lease ran out'}, 'succeeded'), whys)
         before = self.sql(f"SELECT sequence, result_blob FROM strata.jobs WHERE id = '{id}'")
         sleeper.process.send_signal(signal.SIGCONT)
         wait_until(lambda: sleeper.events('lease_lost') or sleeper.events('job_not_ended'),
