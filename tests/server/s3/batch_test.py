@@ -97,7 +97,7 @@ class BatchTest(unittest.TestCase):
 
     def batch(self, *arguments, status=1, **more):
         process = self.start(*arguments, **more)
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=600)
         self.assertEqual(process.returncode, status, (out, err))
         for secret in [KEYS['KEYOFTESTS'], 'KEYOFTESTS']:
             self.assertNotIn(secret, out + err)
@@ -142,7 +142,7 @@ class FromBucketToBucket(BatchTest):
     def test_a_report_reads_the_bucket_and_puts_its_page_there(self):
         self.batch()
         done = subprocess.run([ARGUMENTS['strata'], 'report', 's3://outputs/run'], text=True,
-                              capture_output=True, timeout=60,
+                              capture_output=True, timeout=600,
                               env=self.environment(TMPDIR=str(self.folder)))
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn(str(MODELS), done.stdout)
@@ -243,7 +243,7 @@ class FromBucketToBucket(BatchTest):
         process = self.start()
         wait_until(lambda: len(self.outputs_in_bucket()) >= 5 or process.poll() is not None, 'five')
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=30)
+        process.communicate(timeout=600)
         self.assertEqual(process.returncode, 130)
         kept = len(self.outputs_in_bucket())
         self.store.forget()
@@ -257,7 +257,7 @@ class FromBucketToBucket(BatchTest):
         wait_until(lambda: self.outputs_in_bucket() or process.poll() is not None, 'an output')
         message = self.batch(status=9)
         self.assertIn(f'process {process.pid}', message)
-        process.communicate(timeout=60)
+        process.communicate(timeout=600)
         self.assert_complete()
 
     def test_trouble_with_the_store_passes(self):
@@ -359,7 +359,7 @@ class Elsewhere(BatchTest):
             return False
         process = self.start()
         self.store.fail(look, hang_up)
-        process.communicate(timeout=60)
+        process.communicate(timeout=600)
         self.assertTrue(any(seen), 'no worker was seen')
         self.assertFalse([True for text in seen if KEYS['KEYOFTESTS'].encode() in text])
 

@@ -100,7 +100,7 @@ class S3rverTest(ClientTest):
                                ('s3://bucket/models', 's3://bucket/out')] * 2:
             done = subprocess.run(
                 [ARGUMENTS['strata'], 'batch', source, '-o', output, '--resolution', '24'],
-                capture_output=True, text=True, timeout=120, env=self.environment())
+                capture_output=True, text=True, timeout=600, env=self.environment())
             self.assertEqual(done.returncode, 0, done.stderr)
         self.assertEqual(sum(r.method == 'GET' and '/models/' in r.target and 'off' in r.target
                              for r in self.store.requests), 4, 'the second run fetches nothing')
