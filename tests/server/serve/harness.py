@@ -89,8 +89,13 @@ class Server:
                           f'the log line of {request_id}')[0]
 
     def children(self):
-        text = pathlib.Path(f'/proc/{self.process.pid}/task').glob('*/children')
-        return [pid for path in text for pid in path.read_text().split() if not is_symbolizer(pid)]
+        found = []
+        for path in pathlib.Path(f'/proc/{self.process.pid}/task').glob('*/children'):
+            try:
+                found += path.read_text().split()
+            except (FileNotFoundError, ProcessLookupError):
+                pass  # The thread ended meanwhile.
+        return [pid for pid in found if not is_symbolizer(pid)]
 
     def resident_bytes(self):
         text = pathlib.Path(f'/proc/{self.process.pid}/status').read_text()
