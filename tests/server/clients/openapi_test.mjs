@@ -374,7 +374,8 @@ test('every answer is as the document has it, and the document has no more than 
     for (const field of Object.keys(schema.properties)) {
       // A stored job keeps the options that decide the result.
       if (name === 'SampleOptions' && ONLY_ASKED.includes(field)) continue;
-      if (name === 'Batch' && field === 'error') continue;  // Of one that did not come to its end.
+      // Of a batch that did not come to its end, failed in part or went on: service_test.py has those.
+      if (name === 'Batch' && ['error', 'failed_models', 'seconds_left', 'unchanged'].includes(field)) continue;
       if (!judge.seen.has(`${name}.${field}`)) missing.push(`${name}.${field}`);
     }
   }
