@@ -1,6 +1,5 @@
 #include "io/archive_mesh.h"
 
-#include <new>
 #include <utility>
 #include <vector>
 
@@ -8,6 +7,7 @@
 #include "io/detect_format.h"
 #include "io/quote.h"
 #include "io/three_mf_reader.h"
+#include "io/within_memory.h"
 #include "io/zip_archive.h"
 
 namespace strata::io {
@@ -73,16 +73,15 @@ Result<std::unique_ptr<MeshReader>> OpenIn(std::shared_ptr<ZipArchive> archive,
 Result<std::unique_ptr<MeshReader>> OpenArchive(std::unique_ptr<ByteSource> source,
                                                 const OpenOptions& options,
                                                 const OpenMember& open) {
-  const std::string name = source->name();
-  try {
-    auto readable = WithReadAt(std::move(source), options.scratch);
-    if (!readable) return Forward(readable);
-    auto archive = ZipArchive::Open(std::move(*readable), options.scratch, options.context);
-    if (!archive) return Forward(archive);
-    return OpenIn(std::move(*archive), options, open);
-  } catch (const std::bad_alloc&) {
-    return Fail(ErrorCode::kOverBudget, name + ": out of memory while opening the archive");
-  }
+  using Opened = Result<std::unique_ptr<MeshReader>>;
+  return WithinMemory(
+      source->name() + ": out of memory while opening the archive", [&]() -> Opened {
+        auto readable = WithReadAt(std::move(source), options.scratch);
+        if (!readable) return Forward(readable);
+        auto archive = ZipArchive::Open(std::move(*readable), options.scratch, options.context);
+        if (!archive) return Forward(archive);
+        return OpenIn(std::move(*archive), options, open);
+      });
 }
 
 }  // namespace strata::io

@@ -11,7 +11,6 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
-#include <new>
 #include <string>
 #include <system_error>
 #include <utility>
@@ -21,6 +20,7 @@
 #include "io/detect_format.h"
 #include "io/fd.h"
 #include "io/triangulate.h"
+#include "io/within_memory.h"
 
 namespace strata::io {
 namespace {
@@ -320,14 +320,8 @@ class AssimpReader : public MeshReader {
 
 Result<std::unique_ptr<MeshReader>> OpenAssimp(std::unique_ptr<ByteSource> source,
                                                const OpenOptions& options) {
-  const std::string name = source->name();
-  try {
-    auto reader = std::make_unique<AssimpReader>(std::move(source), options);
-    if (auto loaded = reader->Load(); !loaded) return Forward(loaded);
-    return reader;
-  } catch (const std::bad_alloc&) {
-    return Fail(ErrorCode::kOverBudget, name + ": the mesh does not fit into memory");
-  }
+  return WithinMemory(source->name() + ": the mesh does not fit into memory",
+                      [&] { return MakeLoaded<AssimpReader>(std::move(source), options); });
 }
 
 }  // namespace strata::io

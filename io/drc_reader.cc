@@ -1,13 +1,13 @@
 #include "io/drc_reader.h"
 
 #include <algorithm>
-#include <new>
 #include <optional>
 #include <string>
 #include <utility>
 
 #include "io/draco_mesh.h"
 #include "io/face_assembler.h"
+#include "io/within_memory.h"
 
 namespace strata::io {
 namespace {
@@ -115,16 +115,12 @@ class DrcReader : public MeshReader {
 
 Result<std::unique_ptr<MeshReader>> OpenDraco(std::unique_ptr<ByteSource> source,
                                               const OpenOptions& options) {
-  const std::string name = source->name();
-  try {
+  using Opened = Result<std::unique_ptr<MeshReader>>;
+  return WithinMemory(source->name() + ": the mesh does not fit into memory", [&]() -> Opened {
     auto readable = WithReadAt(std::move(source), options.scratch);
     if (!readable) return Forward(readable);
-    auto reader = std::make_unique<DrcReader>(std::move(*readable), options);
-    if (auto loaded = reader->Load(); !loaded) return Forward(loaded);
-    return reader;
-  } catch (const std::bad_alloc&) {
-    return Fail(ErrorCode::kOverBudget, name + ": the mesh does not fit into memory");
-  }
+    return MakeLoaded<DrcReader>(std::move(*readable), options);
+  });
 }
 
 }  // namespace strata::io

@@ -2,7 +2,6 @@
 
 #include <array>
 #include <map>
-#include <new>
 #include <set>
 #include <span>
 #include <string>
@@ -16,6 +15,7 @@
 #include "io/gltf_geometry.h"
 #include "io/gltf_scene.h"
 #include "io/placed_reader.h"
+#include "io/within_memory.h"
 
 namespace strata::io {
 namespace {
@@ -123,17 +123,13 @@ class GltfReader : public PlacedReader {
 
 Result<std::unique_ptr<MeshReader>> OpenGltf(std::unique_ptr<ByteSource> source,
                                              const OpenOptions& options) {
-  const std::string name = source->name();
-  try {
+  using Opened = Result<std::unique_ptr<MeshReader>>;
+  return WithinMemory(source->name() + ": the mesh does not fit into memory", [&]() -> Opened {
     auto container = OpenGltfContainer(std::move(source), options);
     if (!container) return Forward(container);
     auto opened = container->Release();
-    auto reader = std::make_unique<GltfReader>(std::move(*container), std::move(opened), options);
-    if (auto loaded = reader->Load(); !loaded) return Forward(loaded);
-    return reader;
-  } catch (const std::bad_alloc&) {
-    return Fail(ErrorCode::kOverBudget, name + ": the mesh does not fit into memory");
-  }
+    return MakeLoaded<GltfReader>(std::move(*container), std::move(opened), options);
+  });
 }
 
 }  // namespace strata::io

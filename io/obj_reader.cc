@@ -1,7 +1,6 @@
 #include "io/obj_reader.h"
 
 #include <cstdint>
-#include <new>
 #include <span>
 #include <string>
 #include <string_view>
@@ -16,6 +15,7 @@
 #include "io/quote.h"
 #include "io/text_scanner.h"
 #include "io/vertex_store.h"
+#include "io/within_memory.h"
 
 namespace strata::io {
 namespace {
@@ -70,12 +70,9 @@ class ObjReader : public MeshReader {
     std::vector<MeshAttribute> wanted;
     for (const std::size_t n : numbers) wanted.push_back(attributes_[n]);
     text_.Forget();
-    try {
+    return WithinMemory(source_->name() + ": the vertices' attributes do not fit into memory", [&] {
       return OpenObjAttributes(*source_, max_line_bytes_, contents_, wanted, context);
-    } catch (const std::bad_alloc&) {
-      return Fail(ErrorCode::kOverBudget,
-                  source_->name() + ": the vertices' attributes do not fit into memory");
-    }
+    });
   }
 
   Result<void> Rewind() override {
@@ -224,14 +221,8 @@ class ObjReader : public MeshReader {
 
 Result<std::unique_ptr<MeshReader>> OpenObj(std::unique_ptr<ByteSource> source,
                                             const OpenOptions& options) {
-  const std::string name = source->name();
-  try {
-    auto reader = std::make_unique<ObjReader>(std::move(source), options);
-    if (auto loaded = reader->Load(); !loaded) return Forward(loaded);
-    return reader;
-  } catch (const std::bad_alloc&) {
-    return Fail(ErrorCode::kOverBudget, name + ": the vertices do not fit into memory");
-  }
+  return WithinMemory(source->name() + ": the vertices do not fit into memory",
+                      [&] { return MakeLoaded<ObjReader>(std::move(source), options); });
 }
 
 }  // namespace strata::io

@@ -9,6 +9,7 @@
 
 #include "io/ply_attributes.h"
 #include "io/ply_rows.h"
+#include "io/within_memory.h"
 
 namespace strata::io {
 namespace {
@@ -69,12 +70,9 @@ class PlyReader : public MeshReader {
     std::vector<const PlyAttribute*> wanted;
     for (const std::size_t n : numbers) wanted.push_back(&carried_[n]);
     input_.Forget();
-    try {
+    return WithinMemory(source_->name() + ": the vertices' attributes do not fit into memory", [&] {
       return OpenPlyAttributes(*source_, header_, places_, wanted, context);
-    } catch (const std::bad_alloc&) {
-      return Fail(ErrorCode::kOverBudget,
-                  source_->name() + ": the vertices' attributes do not fit into memory");
-    }
+    });
   }
 
   Result<void> Rewind() override {

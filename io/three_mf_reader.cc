@@ -9,6 +9,7 @@
 #include "io/placed_reader.h"
 #include "io/quote.h"
 #include "io/three_mf_package.h"
+#include "io/within_memory.h"
 
 namespace strata::io {
 namespace {
@@ -130,9 +131,7 @@ Result<std::unique_ptr<MeshReader>> OpenThreeMf(std::shared_ptr<ZipArchive> arch
                                                 const OpenOptions& options) {
   auto model = ReadThreeMf(*archive, options);
   if (!model) return Forward(model);
-  auto reader = std::make_unique<ThreeMfReader>(std::move(archive), std::move(*model));
-  if (auto loaded = reader->Load(); !loaded) return Forward(loaded);
-  return reader;
+  return MakeLoaded<ThreeMfReader>(std::move(archive), std::move(*model));
 }
 
 }  // namespace strata::io
