@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 
+#include "io/lower_case.h"
 #include "io/quote.h"
 #include "io/stl_reader.h"
 
@@ -63,12 +64,6 @@ constexpr std::array kObjKeywords = {
     "curv"sv,      "curv2"sv,  "surf"sv,   "parm"sv,   "trim"sv,     "hole"sv,     "scrv"sv,
     "sp"sv,        "end"sv,    "con"sv,    "bevel"sv,  "c_interp"sv, "d_interp"sv, "shadow_obj"sv,
     "trace_obj"sv, "ctech"sv,  "stech"sv,  "call"sv,   "csh"sv};
-
-std::string Lower(std::string_view text) {
-  std::string lower(text);
-  for (char& c : lower) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
-  return lower;
-}
 
 std::string_view SkipSpaceAndMark(std::string_view head) {
   if (head.starts_with("\xef\xbb\xbf")) head.remove_prefix(3);
@@ -148,7 +143,7 @@ std::string Describe(std::string_view head) {
 std::optional<MeshFormat> FromText(std::string_view head) {
   const std::string_view word = FirstWord(head);
   if (IsOffKeyword(word)) return MeshFormat::kOff;
-  if (Lower(word) == "solid") return MeshFormat::kStl;
+  if (LowerCase(word) == "solid") return MeshFormat::kStl;
   const bool obj = std::find(kObjKeywords.begin(), kObjKeywords.end(), word) != kObjKeywords.end();
   return obj ? std::optional(MeshFormat::kObj) : std::nullopt;
 }
@@ -177,7 +172,7 @@ std::string MeshSuffix(std::string_view name) {
   const auto take = [&name] {
     const std::size_t dot = name.find_last_of("./");
     if (dot == name.npos || name[dot] == '/') return std::string();
-    std::string suffix = Lower(name.substr(dot + 1));
+    std::string suffix = LowerCase(name.substr(dot + 1));
     name = name.substr(0, dot);
     return suffix;
   };

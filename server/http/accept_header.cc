@@ -1,9 +1,9 @@
 #include "server/http/accept_header.h"
 
 #include <algorithm>
-#include <cctype>
 #include <charconv>
 
+#include "io/lower_case.h"
 #include "server/service/wire_options.h"
 
 namespace strata::server {
@@ -21,12 +21,6 @@ std::string_view Cut(std::string_view& text, char mark) {
   const std::string_view part = text.substr(0, end);
   text.remove_prefix(std::min(end + 1, text.size()));
   return Trim(part);
-}
-
-std::string Lower(std::string_view text) {
-  std::string lower(text);
-  std::ranges::transform(lower, lower.begin(), [](unsigned char c) { return std::tolower(c); });
-  return lower;
 }
 
 /// 3: the type itself, 2: "model/*", 1: "*/*", 0: does not fit.
@@ -57,7 +51,7 @@ double WeightFor(std::string_view accept, std::string_view type) {
   double weight = 0;
   while (!accept.empty()) {
     std::string_view entry = Cut(accept, ',');
-    const std::string range = Lower(Cut(entry, ';'));
+    const std::string range = io::LowerCase(Cut(entry, ';'));
     const int fit = Fit(range, type);
     if (fit <= best) continue;
     best = fit;

@@ -7,16 +7,12 @@
 #include <array>
 #include <optional>
 
+#include "io/lower_case.h"
+
 namespace strata::server {
 namespace {
 
 constexpr std::size_t kMostNameBytes = 253;  // Of DNS.
-
-std::string Lower(std::string_view text) {
-  std::string lower(text);
-  for (char& c : lower) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c + 32) : c;
-  return lower;
-}
 
 /// The one way to write an address in digits; nothing for a name.
 std::optional<std::string> AddressOf(const std::string& text) {
@@ -32,7 +28,7 @@ std::optional<std::string> AddressOf(const std::string& text) {
 /// `host` in the form that two ways to write one host share.
 std::string Canonical(std::string_view host) {
   if (host.starts_with('[') && host.ends_with(']')) host = host.substr(1, host.size() - 2);
-  std::string lower = Lower(host);
+  std::string lower = io::LowerCase(host);
   if (auto address = AddressOf(lower)) return *std::move(address);
   if (lower.ends_with('.')) lower.pop_back();
   return lower;
@@ -51,7 +47,7 @@ std::string_view WithoutPort(std::string_view host) {
 /// Whether a page of `origin` ("http://localhost:8080", or "null") was served by `host`.
 bool IsSameHost(std::string_view origin, std::string_view host) {
   const std::size_t scheme = origin.find("://");
-  return scheme != origin.npos && Lower(origin.substr(scheme + 3)) == Lower(host);
+  return scheme != origin.npos && io::LowerCase(origin.substr(scheme + 3)) == io::LowerCase(host);
 }
 
 bool ChangesState(std::string_view method) {
@@ -93,7 +89,7 @@ Answer<void> BrowserGuard::Check(const Exchange& exchange) const {
     return Refuse(Refusal::kCrossSite,
                   "Origin: found '" + origin + "', expected a page of Host, '" + host + "'");
   }
-  if (Lower(exchange.header("Sec-Fetch-Site")) == "cross-site") {
+  if (io::LowerCase(exchange.header("Sec-Fetch-Site")) == "cross-site") {
     return Refuse(Refusal::kCrossSite, "Sec-Fetch-Site: found cross-site");
   }
   return {};

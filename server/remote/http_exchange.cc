@@ -10,6 +10,7 @@
 
 #include "core/signal_shield.h"
 #include "core/version.h"
+#include "io/lower_case.h"
 
 namespace strata::server {
 namespace {
@@ -29,12 +30,6 @@ struct Exchange {
 
   bool HasContent() const { return answer->status == 200 || answer->status == 206; }
 };
-
-std::string Lower(std::string_view text) {
-  std::string lower(text);
-  for (char& c : lower) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
-  return lower;
-}
 
 std::string_view Trimmed(std::string_view text) {
   constexpr std::string_view kBlanks = " \t\r\n";
@@ -57,7 +52,7 @@ std::size_t OnHeader(char* bytes, std::size_t, std::size_t size, void* user) noe
   }
   const std::size_t colon = line.find(':');
   if (colon != std::string_view::npos && answer.headers.size() < kMaxHeaders) {
-    answer.headers[Lower(line.substr(0, colon))] = Trimmed(line.substr(colon + 1));
+    answer.headers[io::LowerCase(line.substr(0, colon))] = Trimmed(line.substr(colon + 1));
   }
   return size;
 } catch (...) {
