@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "core/external_sort.h"
+#include "core/held_samples.h"
 
 namespace strata {
 namespace {
@@ -91,21 +92,6 @@ void Drop(SampleColumns& samples, AttributeSet wanted) {
 }
 
 // --- All at once ------------------------------------------------------------------------------
-
-class WholeSource : public SampleSource {
- public:
-  WholeSource(SampleColumns columns, MemoryShare share)
-      : columns_(std::move(columns)), share_(std::move(share)) {}
-  Result<bool> Next(SampleColumns& out) override {
-    if (columns_.size() == 0) return false;
-    out = std::exchange(columns_, {});
-    return true;
-  }
-
- private:
-  SampleColumns columns_;
-  MemoryShare share_;
-};
 
 // Asks a pass for points, as they come in ascending order, and hands each its row.
 class RowFetcher {
@@ -224,7 +210,7 @@ Result<void> CarryJob::InMemory(MemoryShare share) {
   }
   if (auto done = fetcher.Flush(take); !done) return done;
   Drop(all, options_.attributes);
-  sampled_.samples = std::make_unique<WholeSource>(std::move(all), std::move(share));
+  sampled_.samples = std::make_unique<HeldSamples>(std::move(all), std::move(share));
   return {};
 }
 

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/held_samples.h"
 #include "core/numeric.h"
 #include "core/parcels.h"
 #include "core/rejection.h"
@@ -74,21 +75,6 @@ std::uint64_t BytesPerSample(AttributeSet attributes) {
 }
 
 // --- All at once -----------------------------------------------------------------------------
-
-class MemorySource : public SampleSource {
- public:
-  MemorySource(SampleColumns columns, MemoryShare share)
-      : columns_(std::move(columns)), share_(std::move(share)) {}
-  Result<bool> Next(SampleColumns& out) override {
-    if (columns_.size() == 0) return false;
-    out = std::exchange(columns_, {});
-    return true;
-  }
-
- private:
-  SampleColumns columns_;
-  MemoryShare share_;
-};
 
 // The columns that the minimum distance looks at, of all cells in canonical order.
 struct AllCells {
@@ -355,7 +341,7 @@ Result<Gathered> GatherInMemory(std::unique_ptr<ReservoirStore> store, const Gat
   auto share =
       context.memory().Take(samples.size() * BytesPerSample(options.attributes), "samples");
   if (!share) return Forward(share);
-  out.samples = std::make_unique<MemorySource>(std::move(samples), std::move(*share));
+  out.samples = std::make_unique<HeldSamples>(std::move(samples), std::move(*share));
   return out;
 }
 

@@ -29,21 +29,6 @@ bool IsPlain(char c) {
          c == '.' || c == '-';
 }
 
-// Calls f with a value of the C++ type that `type` names.
-template <class F>
-void WithType(ScalarType type, F&& f) {
-  if (type == ScalarType::kInt8) return f(std::int8_t());
-  if (type == ScalarType::kUint8) return f(std::uint8_t());
-  if (type == ScalarType::kInt16) return f(std::int16_t());
-  if (type == ScalarType::kUint16) return f(std::uint16_t());
-  if (type == ScalarType::kInt32) return f(std::int32_t());
-  if (type == ScalarType::kUint32) return f(std::uint32_t());
-  if (type == ScalarType::kInt64) return f(std::int64_t());
-  if (type == ScalarType::kUint64) return f(std::uint64_t());
-  if (type == ScalarType::kFloat32) return f(float());
-  return f(double());
-}
-
 template <class T>
 T Load(const char* from, int component) {
   T value;

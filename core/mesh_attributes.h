@@ -34,6 +34,32 @@ constexpr std::size_t SizeOf(ScalarType type) {
   return kSizes[static_cast<std::size_t>(type)];
 }
 constexpr bool IsInteger(ScalarType type) { return type < ScalarType::kFloat32; }
+/// Calls `f` with a zero of the C++ type that `type` names, and returns what it returns.
+template <class F>
+decltype(auto) WithType(ScalarType type, F&& f) {
+  switch (type) {
+    case ScalarType::kInt8:
+      return f(std::int8_t{});
+    case ScalarType::kUint8:
+      return f(std::uint8_t{});
+    case ScalarType::kInt16:
+      return f(std::int16_t{});
+    case ScalarType::kUint16:
+      return f(std::uint16_t{});
+    case ScalarType::kInt32:
+      return f(std::int32_t{});
+    case ScalarType::kUint32:
+      return f(std::uint32_t{});
+    case ScalarType::kInt64:
+      return f(std::int64_t{});
+    case ScalarType::kUint64:
+      return f(std::uint64_t{});
+    case ScalarType::kFloat32:
+      return f(float{});
+    default:
+      return f(double{});
+  }
+}
 /// "int8", "uint8", … "float64".
 const char* NameOf(ScalarType type);
 

@@ -98,22 +98,7 @@ void Store(double value, char* out) {
 }
 
 void Store(ScalarType type, double value, char* out) {
-  switch (type) {
-    case ScalarType::kInt8:
-      return Store<std::int8_t>(value, out);
-    case ScalarType::kUint8:
-      return Store<std::uint8_t>(value, out);
-    case ScalarType::kInt16:
-      return Store<std::int16_t>(value, out);
-    case ScalarType::kUint16:
-      return Store<std::uint16_t>(value, out);
-    case ScalarType::kUint32:
-      return Store<std::uint32_t>(value, out);
-    case ScalarType::kFloat32:
-      return Store<float>(value, out);
-    default:
-      return Store<double>(value, out);
-  }
+  WithType(type, [&](auto zero) { Store<decltype(zero)>(value, out); });
 }
 
 // The values of one vertex attribute of a primitive.

@@ -255,13 +255,6 @@ void CopyScalar(ScalarType type, const char* from, bool swap, char* to) {
   }
 }
 
-template <class T>
-double NumberOf(const char* value) {
-  T number;
-  std::memcpy(&number, value, sizeof number);
-  return static_cast<double>(number);
-}
-
 }  // namespace
 
 void RowField::Copy(const char* row, char* out) const {
@@ -275,28 +268,10 @@ void RowField::Copy(const char* row, char* out) const {
 double RowField::Number(const char* row, std::size_t k) const {
   char value[8];
   CopyScalar(type, row + offset[k], swap, value);
-  switch (type) {
-    case ScalarType::kInt8:
-      return NumberOf<std::int8_t>(value);
-    case ScalarType::kUint8:
-      return NumberOf<std::uint8_t>(value);
-    case ScalarType::kInt16:
-      return NumberOf<std::int16_t>(value);
-    case ScalarType::kUint16:
-      return NumberOf<std::uint16_t>(value);
-    case ScalarType::kInt32:
-      return NumberOf<std::int32_t>(value);
-    case ScalarType::kUint32:
-      return NumberOf<std::uint32_t>(value);
-    case ScalarType::kInt64:
-      return NumberOf<std::int64_t>(value);
-    case ScalarType::kUint64:
-      return NumberOf<std::uint64_t>(value);
-    case ScalarType::kFloat32:
-      return NumberOf<float>(value);
-    default:
-      return NumberOf<double>(value);
-  }
+  return WithType(type, [&](auto number) {
+    std::memcpy(&number, value, sizeof number);
+    return static_cast<double>(number);
+  });
 }
 
 std::unique_ptr<AttributePass> PassOver(IndexedMesh mesh, std::vector<MeshAttribute> attributes,

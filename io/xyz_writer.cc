@@ -102,28 +102,7 @@ class XyzWriter final : public FileWriter {
     }
   }
   void PutCarried(const MeshAttribute& column, const char* value) {
-    switch (column.type) {
-      case ScalarType::kInt8:
-        return PutAll<std::int8_t>(column, value);
-      case ScalarType::kUint8:
-        return PutAll<std::uint8_t>(column, value);
-      case ScalarType::kInt16:
-        return PutAll<std::int16_t>(column, value);
-      case ScalarType::kUint16:
-        return PutAll<std::uint16_t>(column, value);
-      case ScalarType::kInt32:
-        return PutAll<std::int32_t>(column, value);
-      case ScalarType::kUint32:
-        return PutAll<std::uint32_t>(column, value);
-      case ScalarType::kInt64:
-        return PutAll<std::int64_t>(column, value);
-      case ScalarType::kUint64:
-        return PutAll<std::uint64_t>(column, value);
-      case ScalarType::kFloat32:
-        return PutAll<float>(column, value);
-      case ScalarType::kFloat64:
-        return PutAll<double>(column, value);
-    }
+    WithType(column.type, [&](auto zero) { PutAll<decltype(zero)>(column, value); });
   }
 
   // Position, normal, triangle, weights, cell, area and weight.

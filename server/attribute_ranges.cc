@@ -26,28 +26,7 @@ void Widen(const std::vector<char>& bytes, std::size_t n, AttributeRange& range)
 }
 
 void Add(const std::vector<char>& bytes, std::size_t n, AttributeRange& range) {
-  switch (range.attribute.type) {
-    case ScalarType::kInt8:
-      return Widen<std::int8_t>(bytes, n, range);
-    case ScalarType::kUint8:
-      return Widen<std::uint8_t>(bytes, n, range);
-    case ScalarType::kInt16:
-      return Widen<std::int16_t>(bytes, n, range);
-    case ScalarType::kUint16:
-      return Widen<std::uint16_t>(bytes, n, range);
-    case ScalarType::kInt32:
-      return Widen<std::int32_t>(bytes, n, range);
-    case ScalarType::kUint32:
-      return Widen<std::uint32_t>(bytes, n, range);
-    case ScalarType::kInt64:
-      return Widen<std::int64_t>(bytes, n, range);
-    case ScalarType::kUint64:
-      return Widen<std::uint64_t>(bytes, n, range);
-    case ScalarType::kFloat32:
-      return Widen<float>(bytes, n, range);
-    case ScalarType::kFloat64:
-      return Widen<double>(bytes, n, range);
-  }
+  WithType(range.attribute.type, [&](auto zero) { Widen<decltype(zero)>(bytes, n, range); });
 }
 
 }  // namespace

@@ -12,9 +12,12 @@
 
 #include "core/carry_attributes.h"
 #include "tests/support/memory_mesh.h"
+#include "tests/support/mesh_attribute.h"
 
 namespace strata::test {
 namespace {
+
+using test::MakeAttribute;
 
 template <class T>
 constexpr ScalarType TypeFor();
@@ -39,20 +42,10 @@ constexpr ScalarType TypeFor<std::uint64_t>() {
   return ScalarType::kUint64;
 }
 
-MeshAttribute Attribute(const char* name, ScalarType type, int components,
-                        Semantic semantic = Semantic::kGeneric) {
-  MeshAttribute attribute;
-  attribute.name = name;
-  attribute.type = type;
-  attribute.components = components;
-  attribute.semantic = semantic;
-  return attribute;
-}
-
 // The value of a single number at a point.
 template <class T>
 T CarryOne(const std::array<T, 3>& corner, const std::array<double, 3>& weight, Carry carry) {
-  MeshAttribute attribute = Attribute("a", TypeFor<T>(), 1);
+  MeshAttribute attribute = MakeAttribute("a", TypeFor<T>(), 1);
   attribute.carry = carry;
   std::array<const char*, 3> at;
   for (std::size_t v = 0; v < 3; ++v) at[v] = reinterpret_cast<const char*>(&corner[v]);
@@ -129,10 +122,10 @@ TEST(FixNames, KeepsClearOfTheFixedNames) {
 }
 
 std::vector<MeshAttribute> Some() {
-  return {Attribute("color", ScalarType::kUint8, 3, Semantic::kColor),
-          Attribute("label", ScalarType::kInt32, 1),
-          Attribute("paint", ScalarType::kUint8, 3, Semantic::kColor),
-          Attribute("vertex_normal", ScalarType::kFloat32, 3, Semantic::kNormal)};
+  return {MakeAttribute("color", ScalarType::kUint8, 3, Semantic::kColor),
+          MakeAttribute("label", ScalarType::kInt32, 1),
+          MakeAttribute("paint", ScalarType::kUint8, 3, Semantic::kColor),
+          MakeAttribute("vertex_normal", ScalarType::kFloat32, 3, Semantic::kNormal)};
 }
 
 std::vector<std::size_t> Wanted(const std::vector<std::string>& names) {

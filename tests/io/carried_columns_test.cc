@@ -12,6 +12,7 @@
 
 #include "io/sample_writer.h"
 #include "tests/support/memory_mesh.h"
+#include "tests/support/mesh_attribute.h"
 #include "tests/support/read_draco.h"
 #include "tests/support/sample_columns.h"
 #include "tests/support/temp_folder.h"
@@ -19,6 +20,7 @@
 namespace strata::io {
 namespace {
 
+using test::MakeAttribute;
 using test::MessageOf;
 using test::TempFolder;
 
@@ -27,34 +29,24 @@ struct Carried {
   SampleHeader header;
 };
 
-MeshAttribute Attribute(const char* name, ScalarType type, int components,
-                        Semantic semantic = Semantic::kGeneric) {
-  MeshAttribute attribute;
-  attribute.name = name;
-  attribute.type = type;
-  attribute.components = components;
-  attribute.semantic = semantic;
-  return attribute;
-}
-
 // Samples with a column of every type; `most` bounds the 64-bit integers.
 Carried Samples(std::size_t n, std::uint64_t most) {
   Carried c;
   c.samples = test::RandomSamples(n, 4);
   c.header = test::HeaderFor(c.samples, kNormal | kWeight);
   auto& columns = c.header.carried;
-  columns = {Attribute("color", ScalarType::kUint8, 3, Semantic::kColor),
-             Attribute("uv", ScalarType::kFloat32, 2, Semantic::kUv),
-             Attribute("small", ScalarType::kInt8, 1),
-             Attribute("short", ScalarType::kInt16, 2),
-             Attribute("code", ScalarType::kUint16, 1),
-             Attribute("near", ScalarType::kInt32, 1),
-             Attribute("far", ScalarType::kInt32, 1),
-             Attribute("hash", ScalarType::kUint32, 1),
-             Attribute("id", ScalarType::kInt64, 1),
-             Attribute("key", ScalarType::kUint64, 2),
-             Attribute("wide", ScalarType::kFloat64, 15),
-             Attribute("group", ScalarType::kUint32, 1, Semantic::kGroup)};
+  columns = {MakeAttribute("color", ScalarType::kUint8, 3, Semantic::kColor),
+             MakeAttribute("uv", ScalarType::kFloat32, 2, Semantic::kUv),
+             MakeAttribute("small", ScalarType::kInt8, 1),
+             MakeAttribute("short", ScalarType::kInt16, 2),
+             MakeAttribute("code", ScalarType::kUint16, 1),
+             MakeAttribute("near", ScalarType::kInt32, 1),
+             MakeAttribute("far", ScalarType::kInt32, 1),
+             MakeAttribute("hash", ScalarType::kUint32, 1),
+             MakeAttribute("id", ScalarType::kInt64, 1),
+             MakeAttribute("key", ScalarType::kUint64, 2),
+             MakeAttribute("wide", ScalarType::kFloat64, 15),
+             MakeAttribute("group", ScalarType::kUint32, 1, Semantic::kGroup)};
   columns[0].normalized = true;
   columns[0].color_space = ColorSpace::kSrgb;
   columns[11].names = {"oak", "say \"ash\"", "Käfer"};
@@ -297,10 +289,10 @@ TEST(CarriedColumns, MustHaveAValueForEachSample) {
 
 TEST(ComponentNames, AreUnique) {
   const std::vector<MeshAttribute> columns = {
-      Attribute("red", ScalarType::kInt32, 1),
-      Attribute("color", ScalarType::kUint8, 3, Semantic::kColor),
-      Attribute("texture", ScalarType::kUint8, 4, Semantic::kColor),
-      Attribute("v", ScalarType::kFloat32, 2)};
+      MakeAttribute("red", ScalarType::kInt32, 1),
+      MakeAttribute("color", ScalarType::kUint8, 3, Semantic::kColor),
+      MakeAttribute("texture", ScalarType::kUint8, 4, Semantic::kColor),
+      MakeAttribute("v", ScalarType::kFloat32, 2)};
   const std::vector<std::vector<std::string>> expected = {
       {"red"},
       {"red_2", "green", "blue"},

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "io/sample_writer.h"
+#include "tests/support/mesh_attribute.h"
 #include "tests/support/sample_columns.h"
 #include "tests/support/temp_folder.h"
 
@@ -19,6 +20,7 @@ namespace {
 
 using nlohmann::json;
 using test::HeaderFor;
+using test::MakeAttribute;
 using test::MessageOf;
 using test::RandomSamples;
 using test::TempFolder;
@@ -61,16 +63,6 @@ T At(const Glb& glb, const std::string& name, std::size_t i, std::size_t k = 0) 
   return value;
 }
 
-MeshAttribute Attribute(const char* name, ScalarType type, int components,
-                        Semantic semantic = Semantic::kGeneric) {
-  MeshAttribute attribute;
-  attribute.name = name;
-  attribute.type = type;
-  attribute.components = components;
-  attribute.semantic = semantic;
-  return attribute;
-}
-
 struct Written {
   SampleColumns samples;
   SampleHeader header;
@@ -82,14 +74,14 @@ Written Write(const TempFolder& folder) {
   w.samples = RandomSamples(300, 12, 0.125, {1e6, -2e6, 5});
   w.header = HeaderFor(w.samples, kAllAttributes);
   auto& columns = w.header.carried;
-  columns = {Attribute("color", ScalarType::kUint8, 4, Semantic::kColor),
-             Attribute("uv", ScalarType::kFloat64, 2, Semantic::kUv),
-             Attribute("label", ScalarType::kInt32, 1),
-             Attribute("key", ScalarType::kUint64, 2),
-             Attribute("small", ScalarType::kInt8, 3),
-             Attribute("many", ScalarType::kFloat32, 6),
-             Attribute("light", ScalarType::kFloat32, 3, Semantic::kColor),
-             Attribute("material", ScalarType::kUint16, 1, Semantic::kMaterial)};
+  columns = {MakeAttribute("color", ScalarType::kUint8, 4, Semantic::kColor),
+             MakeAttribute("uv", ScalarType::kFloat64, 2, Semantic::kUv),
+             MakeAttribute("label", ScalarType::kInt32, 1),
+             MakeAttribute("key", ScalarType::kUint64, 2),
+             MakeAttribute("small", ScalarType::kInt8, 3),
+             MakeAttribute("many", ScalarType::kFloat32, 6),
+             MakeAttribute("light", ScalarType::kFloat32, 3, Semantic::kColor),
+             MakeAttribute("material", ScalarType::kUint16, 1, Semantic::kMaterial)};
   columns[0].color_space = ColorSpace::kSrgb;
   columns[0].normalized = true;
   columns[6].color_space = ColorSpace::kLinear;
