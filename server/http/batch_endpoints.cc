@@ -10,10 +10,9 @@
 namespace strata::server {
 namespace {
 
-/// Calls `work` with the batches and answers with what it returns, or with why not.
+/// Calls `work` with the batches, if they are to be had, and answers with what it returns.
 template <class Work>
-void RespondWith(Service& service, Exchange& exchange, Work work) {
-  const auto batches = service.batches();
+void RespondWith(const Answer<BatchService*>& batches, Exchange& exchange, Work work) {
   if (!batches) return exchange.RespondProblem(batches.error());
   const auto answer = work(**batches);
   if (!answer) return exchange.RespondProblem(answer.error());
@@ -26,7 +25,7 @@ void RespondContent(Exchange& exchange, const Answer<Content>& content) {
 }
 
 Answer<v1::Batch> Create(Service& service, Exchange& exchange) {
-  const auto batches = service.batches();
+  const auto batches = WithoutParameters(service.batches(), exchange);
   if (!batches) return Pass(batches);
   v1::CreateBatchRequest request;
   if (auto filled = JsonBodyInto(exchange, request); !filled) return Pass(filled);
@@ -47,32 +46,27 @@ void PostBatch(Service& service, Exchange& exchange, const std::string&) {
 }
 
 void ListBatches(Service& service, Exchange& exchange, const std::string&) {
-  RespondWith(service, exchange, [&](BatchService& batches) -> Answer<v1::ListBatchesResponse> {
-    v1::ListBatchesRequest request;
-    if (auto filled = QueryInto(exchange.target(), request); !filled) return Pass(filled);
-    return batches.List(request);
-  });
+  RespondWith(service.batches(), exchange,
+              [&](BatchService& batches) -> Answer<v1::ListBatchesResponse> {
+                v1::ListBatchesRequest request;
+                if (auto filled = QueryInto(exchange.target(), request); !filled)
+                  return Pass(filled);
+                return batches.List(request);
+              });
 }
 
 void GetBatch(Service& service, Exchange& exchange, const std::string& id) {
-  if (auto none = CheckNoParameters(exchange.target()); !none) {
-    return exchange.RespondProblem(none.error());
-  }
-  RespondWith(service, exchange, [&](BatchService& batches) { return batches.Get(id); });
+  RespondWith(WithoutParameters(service.batches(), exchange), exchange,
+              [&](BatchService& batches) { return batches.Get(id); });
 }
 
 void DeleteBatch(Service& service, Exchange& exchange, const std::string& id) {
-  if (auto none = CheckNoParameters(exchange.target()); !none) {
-    return exchange.RespondProblem(none.error());
-  }
-  RespondWith(service, exchange, [&](BatchService& batches) { return batches.Cancel(id); });
+  RespondWith(WithoutParameters(service.batches(), exchange), exchange,
+              [&](BatchService& batches) { return batches.Cancel(id); });
 }
 
 void GetBatchEvents(Service& service, Exchange& exchange, const std::string& id) {
-  if (auto none = CheckNoParameters(exchange.target()); !none) {
-    return exchange.RespondProblem(none.error());
-  }
-  const auto batches = service.batches();
+  const auto batches = WithoutParameters(service.batches(), exchange);
   if (!batches) return exchange.RespondProblem(batches.error());
   if (const auto batch = (*batches)->Get(id); !batch) {
     return exchange.RespondProblem(batch.error());
@@ -85,10 +79,7 @@ void GetBatchEvents(Service& service, Exchange& exchange, const std::string& id)
 }
 
 void GetBatchManifest(Service& service, Exchange& exchange, const std::string& id) {
-  if (auto none = CheckNoParameters(exchange.target()); !none) {
-    return exchange.RespondProblem(none.error());
-  }
-  const auto batches = service.batches();
+  const auto batches = WithoutParameters(service.batches(), exchange);
   if (!batches) return exchange.RespondProblem(batches.error());
   RespondContent(exchange, (*batches)->OpenManifest(id));
 }

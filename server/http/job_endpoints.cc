@@ -18,9 +18,8 @@ void RespondJob(Exchange& exchange, const Answer<v1::Job>& job) {
 }
 
 Answer<StoredService::CreatedJob> Create(Service& service, Exchange& exchange) {
-  const auto stored = service.stored();
+  const auto stored = WithoutParameters(service.stored(), exchange);
   if (!stored) return Pass(stored);
-  if (auto none = CheckNoParameters(exchange.target()); !none) return Pass(none);
   v1::CreateJobRequest request;
   if (auto filled = JsonBodyInto(exchange, request); !filled) return Pass(filled);
   if (const std::string key = exchange.header("Idempotency-Key"); !key.empty()) {
@@ -78,20 +77,14 @@ void GetJob(Service& service, Exchange& exchange, const std::string& id) {
 }
 
 void DeleteJob(Service& service, Exchange& exchange, const std::string& id) {
-  const auto stored = service.stored();
+  const auto stored = WithoutParameters(service.stored(), exchange);
   if (!stored) return exchange.RespondProblem(stored.error());
-  if (auto none = CheckNoParameters(exchange.target()); !none) {
-    return exchange.RespondProblem(none.error());
-  }
   RespondJob(exchange, (*stored)->CancelJob(id));
 }
 
 void GetJobEvents(Service& service, Exchange& exchange, const std::string& id) {
-  const auto stored = service.stored();
+  const auto stored = WithoutParameters(service.stored(), exchange);
   if (!stored) return exchange.RespondProblem(stored.error());
-  if (auto none = CheckNoParameters(exchange.target()); !none) {
-    return exchange.RespondProblem(none.error());
-  }
   v1::WatchJobRequest request;
   request.set_id(id);
   const std::string last = exchange.header("Last-Event-ID");
@@ -107,11 +100,8 @@ void GetJobEvents(Service& service, Exchange& exchange, const std::string& id) {
 }
 
 void GetJobResult(Service& service, Exchange& exchange, const std::string& id) {
-  const auto stored = service.stored();
+  const auto stored = WithoutParameters(service.stored(), exchange);
   if (!stored) return exchange.RespondProblem(stored.error());
-  if (auto none = CheckNoParameters(exchange.target()); !none) {
-    return exchange.RespondProblem(none.error());
-  }
   const auto result = (*stored)->OpenResult(id);
   if (!result) return exchange.RespondProblem(result.error());
   RespondConditional(exchange, result->content, ResultHeaders(*result));

@@ -33,9 +33,8 @@ Answer<std::string> ConditionOf(StoredService& stored, const Exchange& exchange,
 }
 
 Answer<StoredService::Put> Put(Service& service, Exchange& exchange, const std::string& name) {
-  const auto stored = service.stored();
+  const auto stored = WithoutParameters(service.stored(), exchange);
   if (!stored) return Pass(stored);
-  if (auto none = CheckNoParameters(exchange.target()); !none) return Pass(none);
   if (auto type = CheckMeshType(exchange); !type) return Pass(type);
   auto condition = ConditionOf(**stored, exchange, name);
   if (!condition) return Pass(condition);
@@ -97,11 +96,8 @@ void GetModel(Service& service, Exchange& exchange, const std::string& name) {
 }
 
 void DeleteModel(Service& service, Exchange& exchange, const std::string& name) {
-  const auto stored = service.stored();
+  const auto stored = WithoutParameters(service.stored(), exchange);
   if (!stored) return exchange.RespondProblem(stored.error());
-  if (auto none = CheckNoParameters(exchange.target()); !none) {
-    return exchange.RespondProblem(none.error());
-  }
   const auto condition = ConditionOf(**stored, exchange, name);
   if (!condition) return exchange.RespondProblem(condition.error());
   const auto deleted = (*stored)->DeleteModel(name, *condition);

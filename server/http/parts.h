@@ -36,6 +36,14 @@ Headers ResultHeaders(const Sampled& sampled);
 /// Refuses: kInvalidArgument.
 Answer<void> CheckNoParameters(const RequestTarget& target);
 
+/// What an endpoint without parameters works on. Refuses: what `source` refused; CheckNoParameters.
+template <class T>
+Answer<T> WithoutParameters(Answer<T> source, const Exchange& exchange) {
+  if (!source) return source;
+  if (auto none = CheckNoParameters(exchange.target()); !none) return Pass(none);
+  return source;
+}
+
 /// The value of a name in the query, taken out of it; empty: not there.
 std::string TakeFromQuery(std::vector<std::pair<std::string, std::string>>& query,
                           std::string_view name);

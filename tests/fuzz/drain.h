@@ -8,11 +8,14 @@
 #include <memory>
 #include <numeric>
 #include <span>
+#include <string>
 #include <vector>
 
+#include "core/memory_account.h"
 #include "core/mesh_attributes.h"
 #include "core/mesh_reader.h"
 #include "core/run_context.h"
+#include "io/open_mesh.h"
 
 namespace strata::test {
 
@@ -114,6 +117,16 @@ inline void DrainTwice(Result<std::unique_ptr<MeshReader>> reader) {
   const Drained second = Drain(**reader, 7);
   Require(!second.failed && second.counts.triangles == first.counts.triangles);
   Require(second.sum == first.sum || first.sum - first.sum != 0);
+}
+
+/// DrainTwice of what `open(bytes, options)` makes of a fuzzer's bytes, in 256 MiB.
+template <class Open>
+int DrainBounded(const std::uint8_t* data, std::size_t size, const Open& open) {
+  MemoryAccount memory(std::uint64_t{256} << 20);
+  io::OpenOptions options;
+  options.memory = &memory;
+  DrainTwice(open(std::string(reinterpret_cast<const char*>(data), size), options));
+  return 0;
 }
 
 }  // namespace strata::test

@@ -4,14 +4,9 @@
 set -eu
 test=$1
 viewer=$(cd "$(dirname "$0")/.." && pwd)
-skip() {
-  echo "skipped: $1"
-  exit 77
-}
+. "$viewer/../../tests/support/npm.sh"
 
-command -v node >/dev/null || skip "node is missing"
-[ "$(node -p 'Number(process.versions.node.split(".")[0]) >= 20')" = true ] ||
-  skip "node is older than 20: $(node --version)"
+need_node 20
 if [ "$test" != units ]; then
   [ -d "$viewer/node_modules/vite" ] || skip "the packages are missing: npm ci in server/viewer"
 fi
