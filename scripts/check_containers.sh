@@ -9,7 +9,7 @@
 # is missing. Leaves the images, which are the next run's cache; `podman image prune` removes them.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-mirror=${STRATA_DEBIAN_MIRROR:-http://deb.debian.org/debian}
+mirror=${STRATA_DEBIAN_MIRROR:-}  # Empty: debootstrap's own.
 base=docker.io/library/debian:bookworm-slim
 
 skip() {
@@ -36,7 +36,7 @@ if ! podman image exists "$base" && ! podman pull -q "$base" 2>/dev/null; then
   command -v debootstrap >/dev/null || skip "no registry and no debootstrap: scripts/setup.sh package"
   [ "$(id -u)" -eq 0 ] || skip "no registry, and debootstrap needs root"
   echo "--- No registry: a base image by debootstrap"
-  debootstrap --variant=minbase bookworm "$scratch/base" "$mirror" >"$scratch/debootstrap.log"
+  debootstrap --variant=minbase bookworm "$scratch/base" ${mirror:+"$mirror"} >"$scratch/debootstrap.log"
   # As the slim image: without documents but licences, languages and what apt keeps.
   find "$scratch/base/usr/share/doc" -type f ! -name copyright -delete
   rm -rf "$scratch"/base/usr/share/{man,info,locale} "$scratch"/base/var/lib/apt/lists/* \

@@ -9,7 +9,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=$(realpath -m "${1:-build/package/chroot}")
-mirror=${STRATA_DEBIAN_MIRROR:-http://deb.debian.org/debian}
+mirror=${STRATA_DEBIAN_MIRROR:-}  # Empty: debootstrap's own.
 root=$folder/root
 
 skip() {
@@ -49,7 +49,7 @@ step "A fresh Debian 12"
 mkdir -p "$folder"
 if [ ! -e "$folder/fresh.tar" ]; then
   rm -rf "$folder/base"
-  debootstrap --variant=minbase bookworm "$folder/base" "$mirror" >"$folder/debootstrap.log"
+  debootstrap --variant=minbase bookworm "$folder/base" ${mirror:+"$mirror"} >"$folder/debootstrap.log"
   tar -C "$folder/base" -cf "$folder/fresh.tar.part" .
   mv "$folder/fresh.tar.part" "$folder/fresh.tar"
   rm -rf "$folder/base"
@@ -61,19 +61,19 @@ tar -C "$root" -xf "$folder/fresh.tar"
 cp /etc/resolv.conf "$root/etc/resolv.conf"
 printf '#!/bin/sh\nexit 101\n' >"$root/usr/sbin/policy-rc.d"
 chmod 755 "$root/usr/sbin/policy-rc.d"
-mkdir "$root/work"
-cp "${packages[@]}" models/spot.obj "$root/work/"
+mkdir "$root/strata"
+cp "${packages[@]}" models/spot.obj "$root/strata/"
 inside 'apt-get -q update'
 files() { (cd "$root" && find etc usr var -path var/cache/apt -prune -o -path var/lib/apt -prune -o \
   -path var/lib/dpkg -prune -o -path var/log -prune -o -print | sort); }
 files >"$folder/before"
 
 step "strata: install, sample, look at the manual's files"
-inside 'apt-get -q -y install --no-install-recommends /work/strata_*.deb'
-inside 'cd /work && strata --version && strata info spot.obj &&
+inside 'apt-get -q -y install --no-install-recommends /strata/strata_*.deb'
+inside 'cd /strata && strata --version && strata info spot.obj &&
   strata sample spot.obj -o spot.ply --resolution 64 --quiet'
 build/package/server/strata sample models/spot.obj -o "$folder/here.ply" --resolution 64 --quiet
-cmp "$folder/here.ply" "$root/work/spot.ply"
+cmp "$folder/here.ply" "$root/strata/spot.ply"
 for page in strata strata-sample strata-serve; do
   gzip -t "$root/usr/share/man/man1/$page.1.gz" 2>/dev/null || echo "note: $page(1) is left out by the chroot's dpkg"
 done
@@ -81,18 +81,18 @@ done
 step "strata: the service starts, answers, ends, as a user without rights"
 inside 'install -d -o nobody -g nogroup /var/lib/strata /var/cache/strata
   setpriv --reuid=nobody --regid=nogroup --clear-groups --no-new-privs --bounding-set=-all \
-    strata serve --config /etc/strata/strata.toml --http 127.0.0.1:0 --grpc 127.0.0.1:0 2>/work/log &
+    strata serve --config /etc/strata/strata.toml --http 127.0.0.1:0 --grpc 127.0.0.1:0 2>/strata/log &
   service=$!
   for try in $(seq 300); do
-    port=$(sed -n "s/.* http=127.0.0.1:\([0-9]*\).*/\1/p" /work/log)
+    port=$(sed -n "s/.* http=127.0.0.1:\([0-9]*\).*/\1/p" /strata/log)
     [ -z "$port" ] || break
-    kill -0 $service || { cat /work/log; exit 1; }
+    kill -0 $service || { cat /strata/log; exit 1; }
     sleep 0.1
   done
   strata health "http://127.0.0.1:$port/readyz"
   kill -TERM $service
   wait $service
-  grep -c stopped /work/log'
+  grep -c stopped /strata/log'
 
 step "strata: remove keeps data and configuration, purge keeps nothing"
 inside 'touch /var/lib/strata/kept; apt-get -q -y remove strata
@@ -106,8 +106,8 @@ if left=$(comm -13 "$folder/before" "$folder/after" | grep -i strata); then
 fi
 
 step "libstrata-dev: the README's program"
-inside 'apt-get -q -y install --no-install-recommends /work/libstrata-dev_*.deb g++ cmake make'
-PYTHONPATH=tests/house python3 - "$root/work" <<'PYTHON'
+inside 'apt-get -q -y install --no-install-recommends /strata/libstrata-dev_*.deb g++ cmake make'
+PYTHONPATH=tests/house python3 - "$root/strata" <<'PYTHON'
 import pathlib
 import sys
 from marked_blocks import marked_blocks
@@ -115,8 +115,8 @@ blocks = marked_blocks('.')
 for name in ('CMakeLists.txt', 'points.cc'):
     pathlib.Path(sys.argv[1], name).write_text(blocks[name])
 PYTHON
-inside 'cd /work && cmake -S . -B program && cmake --build program && program/points spot.obj points.ply'
-cmp <(tail -c 1000 "$folder/here.ply") <(tail -c 1000 "$root/work/points.ply")
+inside 'cd /strata && cmake -S . -B program && cmake --build program && program/points spot.obj points.ply'
+cmp <(tail -c 1000 "$folder/here.ply") <(tail -c 1000 "$root/strata/points.ply")
 inside 'apt-get -q -y purge libstrata-dev'
 if [ -e "$root/usr/include/strata" ]; then
   echo "A purge of libstrata-dev leaves its headers"

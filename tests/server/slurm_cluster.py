@@ -1,4 +1,5 @@
 """A Slurm of two nodes on this host: own folder, own ports, own daemons, loopback only."""
+import contextlib
 import os
 import pathlib
 import shutil
@@ -182,3 +183,19 @@ class Cluster:
             self.daemons.append(subprocess.Popen(
                 [name, *arguments], env=self.environment, stdin=subprocess.DEVNULL, stdout=log,
                 stderr=log, cwd=self.root, start_new_session=True))
+
+
+@contextlib.contextmanager
+def running(folder):
+    """A cluster in a folder of `folder`'s. Prints its jobs and logs if what it is for fails; fails if something
+    of it is left."""
+    folder.chmod(0o755)  # Munge wants its socket where everybody can reach it.
+    (folder / 'slurm').mkdir()
+    with Cluster(folder / 'slurm') as cluster:
+        try:
+            yield cluster
+        except BaseException:
+            print(cluster.run('scontrol', 'show', 'job'), cluster.logs(), sep='\n', flush=True)
+            raise
+    if cluster.processes():
+        raise AssertionError(f'still running: {cluster.processes()}')

@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 
-from slurm_cluster import Cluster, wait_for, why_not
+from slurm_cluster import running, wait_for, why_not
 
 SHARES = 4
 # Strong enough a preference for the centre of the cell that a scan takes seconds, not an instant.
@@ -216,25 +216,17 @@ def main():
         return 77
     with tempfile.TemporaryDirectory() as name:
         folder = pathlib.Path(name)
-        folder.chmod(0o755)  # Munge wants its socket where everybody can reach it.
         mesh, expected = folder / 'sphere.ply', folder / 'one.ply'
         subprocess.run([options.make_mesh, 'sphere', '--triangles', str(options.triangles), '-o',
                         mesh], check=True, timeout=300)
         subprocess.run([options.strata, 'sample', mesh, *SCAN.split(), *MERGE.split(), '-o',
                         expected, '--quiet'], check=True, timeout=300)
-        (folder / 'slurm').mkdir()
-        with Cluster(folder / 'slurm') as cluster:
-            try:
-                job = Job(cluster, folder, mesh, options)
-                check_array(job, expected)
-                check_share_twice(job, expected)
-                check_regions(job)
-                check_failure(job)
-            except BaseException:
-                print(cluster.run('scontrol', 'show', 'job'), cluster.logs(), sep='\n', flush=True)
-                raise
-        if cluster.processes():
-            raise AssertionError(f'still running: {cluster.processes()}')
+        with running(folder) as cluster:
+            job = Job(cluster, folder, mesh, options)
+            check_array(job, expected)
+            check_share_twice(job, expected)
+            check_regions(job)
+            check_failure(job)
     return 0
 
 

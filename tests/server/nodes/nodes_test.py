@@ -26,38 +26,19 @@ LEASE = 2  # Seconds: the shortest there is.
 POSTGRES = None
 
 
-class Worker:
+class Worker(harness.Logged):
     """`strata worker`, its log read as it comes."""
 
     def __init__(self, *options, environment=None):
         self.folder = tempfile.TemporaryDirectory()
-        self.log = []
-        self.process = subprocess.Popen(
-            [harness.strata(), 'worker', '--log-format', 'json', '--scratch', self.folder.name,
-             *options], stderr=subprocess.PIPE, text=True, cwd=self.folder.name,
-            env={**os.environ, **(environment or {})})
-        self.reader = threading.Thread(target=self._read, daemon=True)
-        self.reader.start()
+        self.begin('worker', '--scratch', self.folder.name, *options, folder=self.folder.name,
+                   environment=environment)
         wait_until(lambda: self.events('working') or self.process.poll() is not None,
                    'the worker to begin')
         assert self.process.poll() is None, f'the worker ended: {self.log}'
 
-    def _read(self):
-        for line in self.process.stderr:
-            try:
-                self.log.append(json.loads(line))
-            except ValueError:
-                self.log.append({'event': 'text', 'line': line})
-
-    def events(self, name):
-        return [line for line in list(self.log) if line.get('event') == name]
-
     def stop(self, number=signal.SIGTERM):
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-        status = self.process.wait(harness.PATIENCE)
-        self.reader.join()
-        self.process.stderr.close()
+        status = self.end(number)
         self.folder.cleanup()
         return status
 

@@ -6,20 +6,10 @@ set -eu
 folder=$1
 shift
 here=$(cd "$(dirname "$0")" && pwd)
-skip() {
-  echo "skipped: $1"
-  exit 77
-}
+. "$here/../../support/npm.sh"
 
-command -v node >/dev/null || skip "node is missing"
-command -v npm >/dev/null || skip "npm is missing"
-if ! cmp -s "$here/package-lock.json" "$folder/installed"; then
-  mkdir -p "$folder"
-  cp "$here/package.json" "$here/package-lock.json" "$here/.npmrc" "$folder"
-  (cd "$folder" && npm ci --ignore-scripts --fetch-retries 1 >npm.log 2>&1) ||
-    skip "npm ci fails: see $folder/npm.log"
-  cp "$here/package-lock.json" "$folder/installed"
-fi
+need_node
+install_packages "$here" "$folder"
 S3RVER="$folder/node_modules/s3rver/bin/s3rver.js"
 [ -f "$S3RVER" ] || S3RVER="$folder/node_modules/.bin/s3rver"
 export S3RVER

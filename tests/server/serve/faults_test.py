@@ -11,7 +11,7 @@ import tempfile
 import unittest
 
 import harness
-from harness import CUBE, LONG_MODEL, Answer, Server, ServerCase, make_key, read_to_end, spot
+from harness import CUBE, LONG_MODEL, Answer, Server, ServerCase, make_keys, read_to_end, spot
 
 METHODS = ('GET', 'HEAD', 'POST', 'PUT', 'PATCH', 'DELETE', 'OPTIONS', 'TRACE', 'BREW')
 BODY_OF = {  # Of the routes that read one: a good body and its headers.
@@ -33,10 +33,7 @@ class Faults(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.folder = tempfile.TemporaryDirectory()
-        cls.full, full_line = make_key('full')
-        cls.read, read_line = make_key('read', 'read')
-        keys = pathlib.Path(cls.folder.name) / 'keys'
-        keys.write_text(full_line + read_line)
+        cls.full, cls.read, keys = make_keys(cls.folder.name)
         cls.server = Server('--grpc', 'off', '--keys', str(keys), '--data',
                             f'{cls.folder.name}/data', '--models', str(spot().parent),
                             '--body-size', '1M', '--header-size', '8K', '--jobs', '2',

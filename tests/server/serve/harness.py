@@ -41,7 +41,38 @@ def is_symbolizer(pid):
         return False
 
 
-class Server:
+class Logged:
+    """A process of the service whose JSON log is read as it comes."""
+
+    def begin(self, command, *options, folder, environment=None):
+        self.log = []
+        self.process = subprocess.Popen(
+            [strata(), command, '--log-format', 'json', *options], stderr=subprocess.PIPE,
+            text=True, cwd=folder, env={**os.environ, **(environment or {})})
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+
+    def _read(self):
+        for line in self.process.stderr:
+            try:
+                self.log.append(json.loads(line))
+            except ValueError:
+                self.log.append({'event': 'text', 'line': line})
+
+    def events(self, name):
+        return [line for line in list(self.log) if line.get('event') == name]
+
+    def end(self, number):
+        """Ends the process with a signal, unless it has ended; returns its exit status."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        status = self.process.wait(PATIENCE)
+        self.reader.join()
+        self.process.stderr.close()
+        return status
+
+
+class Server(Logged):
     """`strata serve` with free ports and a JSON log, ended with SIGTERM."""
 
     def __init__(self, *options, config='', environment=None):
@@ -53,13 +84,7 @@ class Server:
         listen += [] if any(o.startswith('--grpc') for o in options) else ['--grpc', '127.0.0.1:0']
         if '--scratch' not in options:
             listen += ['--scratch', str(self.path / 'scratch')]
-        self.log = []
-        self.process = subprocess.Popen(
-            [strata(), 'serve', *listen, '--log-format', 'json', *options],
-            stderr=subprocess.PIPE, text=True, cwd=self.path,
-            env={**os.environ, **(environment or {})})
-        self.reader = threading.Thread(target=self._read, daemon=True)
-        self.reader.start()
+        self.begin('serve', *listen, *options, folder=self.path, environment=environment)
         started = wait_until(lambda: self.events('serving') or self.process.poll() is not None,
                              'the server to listen')
         if started is True:
@@ -68,19 +93,9 @@ class Server:
         self.http_port = self._port('http')
         self.grpc_port = self._port('grpc')
 
-    def _read(self):
-        for line in self.process.stderr:
-            try:
-                self.log.append(json.loads(line))
-            except ValueError:
-                self.log.append({'event': 'text', 'line': line})
-
     def _port(self, protocol):
         where = self.events('serving')[0][protocol]
         return int(where.rsplit(':', 1)[1]) if ':' in where else 0
-
-    def events(self, name):
-        return [line for line in list(self.log) if line.get('event') == name]
 
     def request_line(self, request_id):
         """The log line of a request, which comes just after its answer."""
@@ -127,11 +142,7 @@ class Server:
 
     def stop(self, number=signal.SIGTERM):
         """Ends the service, returns its exit status."""
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-        status = self.process.wait(PATIENCE)
-        self.reader.join()
-        self.process.stderr.close()
+        status = self.end(number)
         self.folder.cleanup()
         return status
 
@@ -215,6 +226,15 @@ def make_key(name, role='full'):
     done = subprocess.run([strata(), 'key', name, '--role', role], capture_output=True, text=True,
                           check=True)
     return done.stderr.split()[-1], done.stdout
+
+
+def make_keys(folder):
+    """(full key, read-only key, the file that `--keys` takes), the file in `folder`."""
+    full, full_line = make_key('full')
+    read, read_line = make_key('read', 'read')
+    path = pathlib.Path(folder) / 'keys'
+    path.write_text(full_line + read_line)
+    return full, read, path
 
 
 def sample_by_command(mesh, suffix, *options):

@@ -3,7 +3,6 @@
 import concurrent.futures
 import importlib
 import os
-import pathlib
 import random
 import socket
 import tempfile
@@ -15,7 +14,7 @@ import grpc
 import harness
 import raw_http2
 import rpc_test
-from harness import CUBE, Server, make_key, spot
+from harness import CUBE, Server, make_keys, spot
 from rpc_test import CHUNK, RpcCase
 
 Code = grpc.StatusCode
@@ -41,10 +40,7 @@ class Faults(RpcCase):
     @classmethod
     def setUpClass(cls):
         cls.folder = tempfile.TemporaryDirectory()
-        cls.full, full_line = make_key('full')
-        cls.read, read_line = make_key('read', 'read')
-        keys = pathlib.Path(cls.folder.name) / 'keys'
-        keys.write_text(full_line + read_line)
+        cls.full, cls.read, keys = make_keys(cls.folder.name)
         cls.options = ('--keys', str(keys), '--data', f'{cls.folder.name}/data', '--models',
                        str(spot().parent), '--header-size', '8K', '--min-rate', '1000', '--grace', '2',
                        '--header-timeout', '2', '--idle-timeout', '2')
