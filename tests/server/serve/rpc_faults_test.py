@@ -73,9 +73,9 @@ class Faults(RpcCase):
         body, _, _ = self.sample(self.requests(CUBE, resolution=3), metadata=self.key)
         self.assertTrue(body)
 
-    def code(self, path, messages, key=None, **more):
+    def code(self, path, messages, key=None, channel=None, **more):
         """The status of a call with raw messages."""
-        call = self.channel.stream_stream(path)(
+        call = (channel or self.channel).stream_stream(path)(
             iter(messages), metadata=self.key if key is None else key,
             **{'timeout': harness.PATIENCE, **more})
         try:
@@ -144,8 +144,13 @@ class Faults(RpcCase):
         self.assertEqual(self.code(SAMPLE, [sample, huge]), Code.RESOURCE_EXHAUSTED)
 
     def test_large_metadata_is_refused(self):
+        """gRPC 1.51 may close the connection that they came by, even before the answer is read: here
+        it has no other call."""
         large = [*self.key, ('x-large', 'x' * 20_000)]
-        self.assertIn(self.code(SAMPLE, [b''], large), (Code.RESOURCE_EXHAUSTED, Code.INTERNAL))
+        alone = [('grpc.use_local_subchannel_pool', 1)]
+        with grpc.insecure_channel(f'127.0.0.1:{self.server.grpc_port}', alone) as channel:
+            self.assertIn(self.code(SAMPLE, [b''], large, channel),
+                          (Code.RESOURCE_EXHAUSTED, Code.INTERNAL, Code.UNAVAILABLE))
 
     def test_a_deadline_ends_the_job(self):
         requests = [request.SerializeToString()
