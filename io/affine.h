@@ -2,6 +2,8 @@
 #pragma once
 
 #include <array>
+#include <cmath>
+#include <cstddef>
 
 #include "core/vec3.h"
 
@@ -35,6 +37,16 @@ struct Affine {
   /// Negative where the map turns the surface inside out.
   double Determinant() const {
     return Dot({m[0], m[1], m[2]}, Cross({m[4], m[5], m[6]}, {m[8], m[9], m[10]}));
+  }
+
+  /// A normal of what the map moves, of the length it had; 0 where the map leaves none. By the
+  /// matrix of cofactors, which is the inverse transpose but for a factor.
+  Vec3 TurnNormal(Vec3 from) const {
+    if (is_identity()) return from;
+    const Vec3 x{m[0], m[4], m[8]}, y{m[1], m[5], m[9]}, z{m[2], m[6], m[10]};
+    const Vec3 n = Cross(y, z) * from.x + Cross(z, x) * from.y + Cross(x, y) * from.z;
+    const double length = Norm(n), before = Norm(from);
+    return n * (length > 0 ? (Determinant() < 0 ? -1 : 1) * before / length : 0);
   }
 
   /// From the unit quaternion (x, y, z, w), which is normalised first; precondition: not 0.

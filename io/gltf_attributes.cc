@@ -11,6 +11,7 @@
 
 #include "io/gltf_accessor.h"
 #include "io/gltf_geometry.h"
+#include "io/gltf_pose.h"
 
 namespace strata::io {
 namespace {
@@ -108,6 +109,8 @@ class Values {
                     const std::string& key, const GltfGeometry& geometry) {
     const auto found = primitive.attributes.find(key);
     if (found == primitive.attributes.end()) return {};
+    const bool three = input.document.accessors[found->second].components == 3;
+    if (key == "NORMAL" && three) pose_ = geometry.pose();
     if (const std::vector<double>* decoded = geometry.Decoded(key)) {
       column_ = *decoded;
       components_ = input.document.accessors[found->second].components;
@@ -129,10 +132,13 @@ class Values {
   std::uint32_t components() const { return components_; }  // 0: there are none.
 
   Result<void> Get(std::uint64_t vertex, std::span<double> out) {
-    if (column_.empty()) return stored_->Read(vertex, out);
-    std::copy_n(column_.begin() + static_cast<std::ptrdiff_t>(vertex * components_), out.size(),
-                out.begin());
-    return {};
+    if (column_.empty()) {
+      if (auto ok = stored_->Read(vertex, out); !ok) return ok;
+    } else {
+      std::copy_n(column_.begin() + static_cast<std::ptrdiff_t>(vertex * components_), out.size(),
+                  out.begin());
+    }
+    return pose_ == nullptr ? Result<void>() : pose_->ApplyToNormals(vertex, out);
   }
 
  private:
@@ -149,6 +155,7 @@ class Values {
     return stored_->Read(0, column_);
   }
 
+  GltfPose* pose_ = nullptr;
   std::optional<GltfValues> stored_;
   std::vector<double> column_;
   std::uint32_t components_ = 0;
@@ -219,11 +226,6 @@ class GltfPass : public AttributePass {
     const GltfDraw& draw = input_.draws[draw_];
     return input_.document.meshes[draw.mesh].primitives[draw.primitive];
   }
-  bool Skinned() const {
-    const GltfDraw& draw = input_.draws[draw_];
-    return draw.posed_by && input_.document.nodes[*draw.posed_by].skin;
-  }
-
   std::uint32_t IdOf(GltfColumn::From from, const GltfPlace& place) const {
     const GltfInstance& instance = input_.scene.instances[place.instance];
     switch (from) {
@@ -254,7 +256,7 @@ class GltfPass : public AttributePass {
     for (std::size_t v = 0; v < 3; ++v) {
       std::array<double, kMostComponents> value;
       value.fill(Fallback(attribute));
-      if (normal && (values_[k].components() == 0 || Skinned())) {
+      if (normal && values_[k].components() == 0) {
         const Vec3 n = FlatNormal(at, transform.Determinant() < 0);
         value[0] = n.x, value[1] = n.y, value[2] = n.z;
       } else if (const std::size_t n = values_[k].components(); n > 0) {
@@ -265,7 +267,10 @@ class GltfPass : public AttributePass {
         }
         std::copy_n(found.begin(), std::min(n, components), value.begin());
       }
-      if (normal) TurnNormal(transform, value);
+      if (normal) {
+        const Vec3 n = transform.TurnNormal({value[0], value[1], value[2]});
+        value[0] = n.x, value[1] = n.y, value[2] = n.z;
+      }
       for (std::size_t c = 0; c < components; ++c) {
         Store(attribute.type, value[c], bytes[v].data() + c * SizeOf(attribute.type));
       }
@@ -293,20 +298,6 @@ class GltfPass : public AttributePass {
     const Vec3 n = Cross(b - a, c - a);
     const double length = Norm(n);
     return length > 0 ? n * (1 / length) : n;
-  }
-
-  // By the matrix of cofactors, which is the inverse transpose but for a factor.
-  static void TurnNormal(const Affine& transform, std::array<double, kMostComponents>& value) {
-    if (transform.is_identity()) return;
-    const auto& m = transform.m;
-    const Vec3 x{m[0], m[4], m[8]}, y{m[1], m[5], m[9]}, z{m[2], m[6], m[10]};
-    const Vec3 n = Cross(y, z) * value[0] + Cross(z, x) * value[1] + Cross(x, y) * value[2];
-    const double length = Norm(n);
-    const double before =
-        std::sqrt(value[0] * value[0] + value[1] * value[1] + value[2] * value[2]);
-    const double sign = transform.Determinant() < 0 ? -1 : 1;
-    const double factor = length > 0 ? sign * before / length : 0;
-    value[0] = n.x * factor, value[1] = n.y * factor, value[2] = n.z * factor;
   }
 
   const GltfPassInput input_;

@@ -49,10 +49,10 @@ struct GltfPassInput {
   std::function<GltfPlace(std::uint64_t)> locate;
 };
 
-/// Where a primitive lacks an attribute: normals are the triangle's own (so they are under a skin,
-/// too), colours are 1, as the specification says; others are NaN, of integers 0. A material that
-/// is not there is 2^32 - 1. Memory: a primitive at a time, and a column of its values where that
-/// fits.
+/// Normals are those of the rest pose. Where a primitive lacks an attribute: normals are the
+/// triangle's own, colours are 1, as the specification says; others are NaN, of integers 0. A
+/// material that is not there is 2^32 - 1. Memory: a primitive at a time, and a column of its
+/// values where that fits.
 std::unique_ptr<AttributePass> PassOverGltf(GltfPassInput input, std::vector<GltfColumn> columns,
                                             RunContext& context);
 

@@ -103,7 +103,8 @@ Result<std::unique_ptr<GltfGeometry>> GltfGeometry::Load(
   if (auto ok = primitive.draco ? geometry->LoadDraco(document, draw) : Result<void>(); !ok) {
     return Forward(ok);
   }
-  if (auto ok = geometry->LoadVertices(document, scene, draw); !ok) return Forward(ok);
+  const bool normals = keep != nullptr && keep->contains("NORMAL");
+  if (auto ok = geometry->LoadVertices(document, scene, draw, normals); !ok) return Forward(ok);
   if (geometry->draco_) {
     if (keep != nullptr) {
       if (auto ok = geometry->Keep(document, draw, *keep); !ok) return Forward(ok);
@@ -160,10 +161,10 @@ Result<void> GltfGeometry::Keep(const GltfDocument& document, const GltfDraw& dr
 }
 
 Result<void> GltfGeometry::LoadVertices(const GltfDocument& document, const GltfScene& scene,
-                                        const GltfDraw& draw) {
+                                        const GltfDraw& draw, bool normals) {
   const GltfPrimitive& primitive = document.meshes[draw.mesh].primitives[draw.primitive];
   const std::string place = PlaceOf(draw.mesh, draw.primitive);
-  auto pose = GltfPose::Open(buffers_, document, scene, draw, draco_ ? &*draco_ : nullptr);
+  auto pose = GltfPose::Open(buffers_, document, scene, draw, draco_ ? &*draco_ : nullptr, normals);
   if (!pose) return Forward(pose);
   std::optional<GltfValues> stored;
   std::vector<double> decoded;
@@ -205,6 +206,7 @@ Result<void> GltfGeometry::LoadVertices(const GltfDocument& document, const Gltf
       if (!vertices_.Append(xyz[i], xyz[i + 1], xyz[i + 2])) return vertices_.failure();
     }
   }
+  if (normals) pose_ = std::move(*pose);
   return vertices_.Finish();
 }
 

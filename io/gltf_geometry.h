@@ -16,6 +16,7 @@
 #include "io/gltf_accessor.h"
 #include "io/gltf_buffers.h"
 #include "io/gltf_document.h"
+#include "io/gltf_pose.h"
 #include "io/gltf_scene.h"
 #include "io/open_mesh.h"
 #include "io/placed_reader.h"
@@ -38,8 +39,9 @@ Result<GltfSize> MeasureGltf(GltfBuffers& buffers, const GltfDocument& document,
 /// they were compressed; small buffers. Threads: one at a time.
 class GltfGeometry : public PlacedGeometry {
  public:
-  /// `keep`: attributes whose values Decoded gives afterwards, if Draco has packed them. All others
-  /// must outlive the geometry. Errors: those of MeasureGltf, kOverBudget, kIo.
+  /// `keep`: attributes whose values Decoded gives afterwards, if Draco has packed them; with
+  /// NORMAL also what poses them. All others must outlive the geometry. Errors: those of
+  /// MeasureGltf, kOverBudget, kIo.
   static Result<std::unique_ptr<GltfGeometry>> Load(GltfBuffers& buffers,
                                                     const GltfDocument& document,
                                                     const GltfScene& scene, const GltfDraw& draw,
@@ -52,6 +54,8 @@ class GltfGeometry : public PlacedGeometry {
     const auto found = decoded_.find(key);
     return found == decoded_.end() ? nullptr : &found->second;
   }
+  /// What moves its normals; null if nothing does, or they were not to be kept.
+  GltfPose* pose() const { return pose_.get(); }
   /// The corners of triangle `number`, in the order of the specification; fewer than three for a
   /// rest. Valid until the next call. Errors: kIo.
   Result<std::span<const std::int64_t>> Corners(std::uint64_t number) override {
@@ -68,7 +72,7 @@ class GltfGeometry : public PlacedGeometry {
  private:
   GltfGeometry(GltfBuffers& buffers, const OpenOptions& options);
   Result<void> LoadVertices(const GltfDocument& document, const GltfScene& scene,
-                            const GltfDraw& draw);
+                            const GltfDraw& draw, bool normals);
   Result<void> LoadDraco(const GltfDocument& document, const GltfDraw& draw);
   Result<void> Keep(const GltfDocument& document, const GltfDraw& draw,
                     const std::set<std::string>& keys);
@@ -94,6 +98,7 @@ class GltfGeometry : public PlacedGeometry {
   bool has_indices_ = false;
   std::optional<GltfValues> indices_;
   std::optional<DracoMesh> draco_;
+  std::unique_ptr<GltfPose> pose_;
   std::map<std::string, std::vector<double>> decoded_;
   MemoryShare decoded_share_;
   std::vector<std::uint32_t> window_;  // Corners from window_begin_ on.

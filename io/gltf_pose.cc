@@ -23,6 +23,11 @@ struct Fours {
     return {};
   }
 };
+// What a joint has to say about a vertex.
+struct Pull {
+  const Affine* joint;
+  double weight;
+};
 // One of the pairs JOINTS_n, WEIGHTS_n.
 struct Influence {
   Fours joints, weights;
@@ -38,7 +43,8 @@ class Pose : public GltfPose {
  public:
   Pose(GltfBuffers& buffers, const GltfDraw& draw) : buffers_(buffers), draw_(draw) {}
 
-  Result<void> OpenTargets(const GltfDocument& document) {
+  Result<void> OpenTargets(const GltfDocument& document, const char* key,
+                           std::vector<Target>& opened) {
     const GltfMesh& mesh = document.meshes[draw_.mesh];
     const auto& targets = mesh.primitives[draw_.primitive].targets;
     const std::vector<double>& weights =
@@ -46,13 +52,17 @@ class Pose : public GltfPose {
             ? document.nodes[*draw_.posed_by].weights
             : mesh.weights;
     for (std::size_t i = 0; i < targets.size() && i < weights.size(); ++i) {
-      const auto found = targets[i].find("POSITION");
+      const auto found = targets[i].find(key);
       if (weights[i] == 0 || found == targets[i].end()) continue;
       auto moves = Vec(document, found->second, 3);
       if (!moves) return Forward(moves);
-      targets_.push_back({weights[i], std::move(*moves)});
+      opened.push_back({weights[i], std::move(*moves)});
     }
     return {};
+  }
+  Result<void> OpenTargets(const GltfDocument& document, bool normals) {
+    if (auto ok = OpenTargets(document, "POSITION", targets_); !ok) return ok;
+    return normals ? OpenTargets(document, "NORMAL", normal_targets_) : Result<void>();
   }
 
   Result<void> OpenSkin(const GltfDocument& document, const GltfScene& scene,
@@ -72,15 +82,22 @@ class Pose : public GltfPose {
     return influences_.empty() ? Result<void>() : ReadJoints(document, scene);
   }
 
-  bool empty() const { return targets_.empty() && influences_.empty(); }
+  bool empty() const { return targets_.empty() && normal_targets_.empty() && influences_.empty(); }
 
   Result<void> Apply(std::uint64_t first, std::span<double> xyz) override {
-    for (Target& target : targets_) {
-      moves_.resize(xyz.size());
-      if (auto ok = target.moves.Read(first, moves_); !ok) return ok;
-      for (std::size_t i = 0; i < xyz.size(); ++i) xyz[i] += target.weight * moves_[i];
-    }
-    return influences_.empty() ? Result<void>() : Skin(first, xyz);
+    if (auto ok = AddTargets(targets_, first, xyz); !ok) return ok;
+    return Skin(first, xyz.size() / 3, [&](std::size_t i) {
+      const Vec3 p = Pulled({xyz[3 * i], xyz[3 * i + 1], xyz[3 * i + 2]});
+      xyz[3 * i] = p.x, xyz[3 * i + 1] = p.y, xyz[3 * i + 2] = p.z;
+    });
+  }
+
+  Result<void> ApplyToNormals(std::uint64_t first, std::span<double> xyz) override {
+    if (auto ok = AddTargets(normal_targets_, first, xyz); !ok) return ok;
+    return Skin(first, xyz.size() / 3, [&](std::size_t i) {
+      const Vec3 n = Blended().TurnNormal({xyz[3 * i], xyz[3 * i + 1], xyz[3 * i + 2]});
+      xyz[3 * i] = n.x, xyz[3 * i + 1] = n.y, xyz[3 * i + 2] = n.z;
+    });
   }
 
  private:
@@ -148,8 +165,21 @@ class Pose : public GltfPose {
     return {};
   }
 
-  Result<void> Skin(std::uint64_t first, std::span<double> xyz) {
-    const std::size_t n = xyz.size() / 3, sets = influences_.size();
+  Result<void> AddTargets(std::vector<Target>& targets, std::uint64_t first,
+                          std::span<double> xyz) {
+    for (Target& target : targets) {
+      moves_.resize(xyz.size());
+      if (auto ok = target.moves.Read(first, moves_); !ok) return ok;
+      for (std::size_t i = 0; i < xyz.size(); ++i) xyz[i] += target.weight * moves_[i];
+    }
+    return {};
+  }
+
+  // Calls move(vertex, joints with weights) for the vertices whose joints say where they are.
+  template <class MoveOne>
+  Result<void> Skin(std::uint64_t first, std::size_t n, MoveOne move) {
+    if (influences_.empty()) return {};
+    const std::size_t sets = influences_.size();
     joint_of_.resize(4 * n * sets);
     weight_of_.resize(4 * n * sets);
     for (std::size_t s = 0; s < sets; ++s) {
@@ -159,45 +189,68 @@ class Pose : public GltfPose {
       if (auto ok = influences_[s].weights.Read(first, weights); !ok) return ok;
     }
     for (std::size_t i = 0; i < n; ++i) {
-      const Vec3 from{xyz[3 * i], xyz[3 * i + 1], xyz[3 * i + 2]};
-      Vec3 to;
-      double sum = 0;
+      pulls_.clear();
       for (std::size_t s = 0; s < sets; ++s) {
         for (std::size_t k = 4 * (n * s + i); k < 4 * (n * s + i) + 4; ++k) {
           if (weight_of_[k] == 0) continue;
           if (!(joint_of_[k] >= 0 && joint_of_[k] < static_cast<double>(joints_.size()))) {
-            return Corrupt(buffers_, draw_,
-                           ": vertex " + std::to_string(first + i) + " hangs on joint " +
-                               std::to_string(joint_of_[k]) + " of " +
-                               std::to_string(joints_.size()));
+            return NoJoint(first + i, joint_of_[k]);
           }
-          to = to + joints_[static_cast<std::size_t>(joint_of_[k])](from) * weight_of_[k];
-          sum += weight_of_[k];
+          pulls_.push_back({&joints_[static_cast<std::size_t>(joint_of_[k])], weight_of_[k]});
         }
       }
-      // Weights are rounded, so that they may not add up to 1. Without any the vertex stays.
-      if (sum == 0) to = from, sum = 1;
-      if (sum != 1) to = {to.x / sum, to.y / sum, to.z / sum};
-      xyz[3 * i] = to.x, xyz[3 * i + 1] = to.y, xyz[3 * i + 2] = to.z;
+      if (!pulls_.empty()) move(i);
     }
     return {};
   }
 
+  tl::unexpected<Error> NoJoint(std::uint64_t vertex, double joint) const {
+    return Corrupt(buffers_, draw_,
+                   ": vertex " + std::to_string(vertex) + " hangs on joint " +
+                       std::to_string(joint) + " of " + std::to_string(joints_.size()));
+  }
+
+  // Weights are rounded, so that they may not add up to 1. Without any the vertex stays.
+  Vec3 Pulled(Vec3 from) const {
+    Vec3 to;
+    double sum = 0;
+    for (const auto& [joint, weight] : pulls_) {
+      to = to + (*joint)(from)*weight;
+      sum += weight;
+    }
+    if (sum == 0) return from;
+    return sum == 1 ? to : Vec3{to.x / sum, to.y / sum, to.z / sum};
+  }
+
+  // The joints' matrix, up to a positive factor.
+  Affine Blended() const {
+    Affine blend;
+    blend.m.fill(0);
+    double sum = 0;
+    for (const auto& [joint, weight] : pulls_) {
+      for (std::size_t k = 0; k < blend.m.size(); ++k) blend.m[k] += joint->m[k] * weight;
+      sum += weight;
+    }
+    for (double& each : blend.m) each = sum < 0 ? -each : each;
+    return sum == 0 ? Affine() : blend;
+  }
+
   GltfBuffers& buffers_;
   const GltfDraw draw_;
-  std::vector<Target> targets_;
+  std::vector<Target> targets_, normal_targets_;
   std::vector<Influence> influences_;
   std::vector<Affine> joints_;
   std::vector<double> moves_, joint_of_, weight_of_;
+  std::vector<Pull> pulls_;  // On one vertex.
 };
 
 }  // namespace
 
 Result<std::unique_ptr<GltfPose>> GltfPose::Open(GltfBuffers& buffers, const GltfDocument& document,
                                                  const GltfScene& scene, const GltfDraw& draw,
-                                                 const DracoMesh* draco) {
+                                                 const DracoMesh* draco, bool normals) {
   auto pose = std::make_unique<Pose>(buffers, draw);
-  if (auto ok = pose->OpenTargets(document); !ok) return Forward(ok);
+  if (auto ok = pose->OpenTargets(document, normals); !ok) return Forward(ok);
   if (auto ok = pose->OpenSkin(document, scene, draco); !ok) return Forward(ok);
   if (pose->empty()) return std::unique_ptr<GltfPose>();
   return pose;

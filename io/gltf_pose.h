@@ -19,16 +19,19 @@ namespace strata::io {
 /// the nodes' own transforms put them. Without either, positions pass as they are. Threads: one.
 class GltfPose {
  public:
-  /// `draco`: the primitive's decoded data, or null; only used here. Null where nothing moves. All
-  /// others must outlive the pose. Errors: kCorruptInput and those of
-  /// GltfValues::Open.
+  /// `draco`: the primitive's decoded data, or null; only used here. `normals`: whether they will
+  /// be posed, too. Null where nothing moves. All others must outlive the pose. Errors:
+  /// kCorruptInput and those of GltfValues::Open.
   static Result<std::unique_ptr<GltfPose>> Open(GltfBuffers& buffers, const GltfDocument& document,
                                                 const GltfScene& scene, const GltfDraw& draw,
-                                                const DracoMesh* draco);
+                                                const DracoMesh* draco, bool normals = false);
   virtual ~GltfPose() = default;
   /// Moves the positions x0,y0,z0,x1,… of the vertices from number `first` on. Errors: kIo;
   /// kCorruptInput (a joint that is not there).
   virtual Result<void> Apply(std::uint64_t first, std::span<double> xyz) = 0;
+  /// The same of normals: targets are added, and joints turn what comes of it, which keeps its
+  /// length. Precondition: opened with `normals`. Errors: the same.
+  virtual Result<void> ApplyToNormals(std::uint64_t first, std::span<double> xyz) = 0;
 };
 
 }  // namespace strata::io

@@ -4,12 +4,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 #include <string>
 #include <vector>
 
 #include "io/byte_source.h"
 #include "io/open_mesh.h"
+#include "tests/support/attribute_values.h"
 #include "tests/support/gltf_maker.h"
 
 namespace strata::io {
@@ -18,31 +18,8 @@ namespace {
 using test::GltfMaker;
 using Json = GltfMaker::Json;
 
-std::size_t NumberOf(const MeshReader& reader, const std::string& name) {
-  const auto attributes = reader.attributes();
-  for (std::size_t k = 0; k < attributes.size(); ++k) {
-    if (attributes[k].name == name) return k;
-  }
-  ADD_FAILURE() << "no attribute " << name << " among " << Describe(attributes);
-  return 0;
-}
-
-// The values of one attribute at these points, components one after the other.
-template <class T>
-std::vector<T> ValuesAt(MeshReader& reader, const std::string& name,
-                        const std::vector<SurfacePoint>& points) {
-  const std::size_t number[] = {NumberOf(reader, name)};
-  const MeshAttribute& attribute = reader.attributes()[number[0]];
-  EXPECT_EQ(attribute.bytes() % sizeof(T), 0u);
-  RunContext context;
-  auto pass = reader.ReadAttributes(number, context);
-  EXPECT_TRUE(pass) << pass.error().message;
-  std::vector<T> values(points.size() * static_cast<std::size_t>(attribute.components));
-  char* const out[] = {reinterpret_cast<char*>(values.data())};
-  const auto read = (*pass)->Read(points, out);
-  EXPECT_TRUE(read) << read.error().message;
-  return values;
-}
+using test::NumberOf;
+using test::ValuesAt;
 
 // Two triangles of a square with everything, the second node a mirror image moved away.
 GltfMaker Full() {
@@ -140,6 +117,85 @@ TEST(GltfAttributes, TellInstancesApart) {
   const auto reader = Open(maker.Glb());
   EXPECT_EQ(ValuesAt<std::uint32_t>(*reader, "instance", {kMiddle, {2, {1, 0, 0}}}),
             (std::vector<std::uint32_t>{0, 1}));
+}
+
+// A triangle in the plane z = 0 with normals along (3, 0, 4).
+GltfMaker Leaning() {
+  GltfMaker maker;
+  maker.Primitive(maker.Floats3({0, 0, 0, 1, 0, 0, 0, 1, 0}))["attributes"]["NORMAL"] =
+      maker.Floats3({3, 0, 4, 3, 0, 4, 3, 0, 4});
+  return maker;
+}
+
+const std::vector<SurfacePoint> kCentre = {{0, {0.5, 0.25, 0.25}}};
+
+TEST(GltfNormals, HaveTheirMorphTargetsAdded) {
+  GltfMaker maker = Leaning();
+  auto& primitive = maker.json["meshes"][0]["primitives"][0];
+  primitive["targets"] = {{{"NORMAL", maker.Floats3({-3, 8, 0, -3, 8, 0, -3, 8, 0})}},
+                          {{"POSITION", maker.Floats3({0, 0, 5, 0, 0, 5, 0, 0, 5})}}};
+  maker.json["meshes"][0]["weights"] = {0.5, 1};
+  EXPECT_EQ(ValuesAt<float>(*Open(maker.Glb()), "mesh_normal", kCentre),
+            (std::vector<float>{1.5f, 4, 4}));
+  // A node's weights come before the mesh's.
+  maker.json["nodes"][0]["weights"] = {1, 0};
+  EXPECT_EQ(ValuesAt<float>(*Open(maker.Glb()), "mesh_normal", kCentre),
+            (std::vector<float>{0, 8, 4}));
+}
+
+TEST(GltfNormals, AreTurnedByTheJointsOfASkin) {
+  GltfMaker maker = Leaning();
+  auto& attributes = maker.json["meshes"][0]["primitives"][0]["attributes"];
+  attributes["JOINTS_0"] =
+      maker.Values(std::vector<std::uint8_t>{0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0}, "VEC4", 4, 5121);
+  attributes["WEIGHTS_0"] = maker.Values(
+      std::vector<float>{0.5f, 0.5f, 0, 0, 0.5f, 0.5f, 0, 0, 0.5f, 0.5f, 0, 0}, "VEC4", 4, 5126);
+  maker.json["skins"] = {{{"joints", {1, 2}}}};
+  maker.json["nodes"] = {{{"mesh", 0}, {"skin", 0}, {"translation", {7, 7, 7}}},
+                         {{"scale", {1, 1, 1}}},
+                         {{"scale", {3, 1, 1}}}};
+  maker.json["scenes"][0]["nodes"] = {0, 1, 2};
+  // Both joints together stretch x by 2: (3 / 2, 0, 4), of the length that it had.
+  const double factor = 5 / std::sqrt(1.5 * 1.5 + 16);
+  const auto stretched = ValuesAt<float>(*Open(maker.Glb()), "mesh_normal", kCentre);
+  EXPECT_NEAR(stretched[0], 1.5 * factor, 1e-6);
+  EXPECT_EQ(stretched[1], 0);
+  EXPECT_NEAR(stretched[2], 4 * factor, 1e-6);
+  // A quarter turn about x takes z to -y.
+  const double half = std::sqrt(0.5);
+  for (const std::size_t joint : {1u, 2u}) {
+    maker.json["nodes"][joint] = {{"rotation", {half, 0, 0, half}}};
+  }
+  const auto turned = ValuesAt<float>(*Open(maker.Glb()), "mesh_normal", kCentre);
+  EXPECT_NEAR(turned[0], 3, 1e-6);
+  EXPECT_NEAR(turned[1], -4, 1e-6);
+  EXPECT_NEAR(turned[2], 0, 1e-6);
+}
+
+TEST(GltfNormals, OfASphereStayItsOwnWhereMorphsAndJointsMoveIt) {
+  // Points of a unit sphere as vertices: normals are the positions, before and after.
+  GltfMaker maker;
+  const std::vector<float> octant = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  maker.Primitive(maker.Floats3(octant))["attributes"]["NORMAL"] = maker.Floats3(octant);
+  auto& attributes = maker.json["meshes"][0]["primitives"][0]["attributes"];
+  attributes["JOINTS_0"] = maker.Values(std::vector<std::uint8_t>(12, 0), "VEC4", 4, 5121);
+  attributes["WEIGHTS_0"] = maker.Values(
+      std::vector<std::uint8_t>{255, 0, 0, 0, 255, 0, 0, 0, 255, 0, 0, 0}, "VEC4", 4, 5121, true);
+  maker.json["skins"] = {{{"joints", {1}}}};
+  maker.json["nodes"] = {{{"mesh", 0}, {"skin", 0}},
+                         {{"rotation", {0.1, 0.7, -0.5, 0.5}}, {"translation", {9, 9, 9}}}};
+  maker.json["scenes"][0]["nodes"] = {0, 1};
+  const auto reader = Open(maker.Glb());
+  TriangleBatch batch(4);
+  ASSERT_EQ(*reader->Read(batch), 1u);
+  for (int v = 0; v < 3; ++v) {
+    SurfacePoint corner{0, {}};
+    corner.weight[static_cast<std::size_t>(v)] = 1;
+    const auto n = ValuesAt<float>(*reader, "mesh_normal", {corner});
+    for (int axis = 0; axis < 3; ++axis) {
+      EXPECT_NEAR(n[static_cast<std::size_t>(axis)], batch.corner(0, v)[axis] - 9, 1e-6);
+    }
+  }
 }
 
 }  // namespace
