@@ -1,24 +1,15 @@
 #include "io/assimp_reader.h"
 
-#include <fcntl.h>
-#include <poll.h>
-#include <signal.h>
-#include <spawn.h>
-#include <sys/wait.h>
-#include <unistd.h>
-
 #include <algorithm>
 #include <array>
-#include <cerrno>
 #include <cstring>
 #include <string>
-#include <system_error>
 #include <utility>
 #include <vector>
 
-#include "io/assimp_stream.h"
+#include "io/assimp_child.h"
+#include "io/assimp_records.h"
 #include "io/detect_format.h"
-#include "io/fd.h"
 #include "io/triangulate.h"
 #include "io/within_memory.h"
 
@@ -26,136 +17,82 @@ namespace strata::io {
 namespace {
 
 constexpr std::uint64_t kMostMemory = std::uint64_t{8} << 30;
-constexpr int kPollMs = 100;
+constexpr std::size_t kFewestCorners = 3;
 
-// A child and the pipe from it; killed when it goes.
-class AssimpChild {
+// A child and what it says.
+struct AssimpRun {
+  AssimpRun(const std::string& name, const AssimpOrder& order, const RunContext* context)
+      : child(name, context), records(name, child, order.attributes) {}
+  AssimpChild child;
+  AssimpRecords records;
+
+  Result<AssimpHead> Start(const AssimpOrder& order) {
+    if (auto started = child.Start(order); !started) return Forward(started);
+    return records.Head();
+  }
+};
+
+class AssimpPass final : public AttributePass {
  public:
-  AssimpChild(std::string name, const RunContext* context)
-      : name_(std::move(name)), context_(context), buffer_(std::size_t{1} << 18) {}
-  ~AssimpChild() {
-    if (id_ <= 0) return;
-    kill(id_, SIGKILL);
-    Reap();
-  }
-  AssimpChild(const AssimpChild&) = delete;
-  AssimpChild& operator=(const AssimpChild&) = delete;
+  AssimpPass(std::string name, std::unique_ptr<AssimpRun> run, AssimpColumns wanted,
+             std::size_t width)
+      : name_(std::move(name)), run_(std::move(run)), wanted_(std::move(wanted)), width_(width) {}
 
-  Result<void> Start(const std::string& program, int input, std::uint64_t memory,
-                     const std::string& hint) {
-    int ends[2];
-    if (pipe2(ends, O_CLOEXEC) != 0) return System("pipe");
-    pipe_ = Fd(ends[0]);
-    const Fd out(ends[1]);
-    posix_spawn_file_actions_t actions;
-    posix_spawn_file_actions_init(&actions);
-    posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
-    // By way of high numbers, so that neither overwrites the other.
-    posix_spawn_file_actions_adddup2(&actions, input, 101);
-    posix_spawn_file_actions_adddup2(&actions, out.get(), 102);
-    posix_spawn_file_actions_adddup2(&actions, 102, 1);
-    posix_spawn_file_actions_adddup2(&actions, 101, kAssimpInput);
-    posix_spawn_file_actions_addopen(&actions, 2, "/dev/null", O_WRONLY, 0);
-    posix_spawn_file_actions_addclosefrom_np(&actions, kAssimpInput + 1);
-    std::string limit = std::to_string(memory), suffix = hint, self = program;
-    char* const arguments[] = {self.data(), limit.data(), suffix.data(), nullptr};
-    char* const environment[] = {nullptr};
-    const int failed =
-        posix_spawn(&id_, program.c_str(), &actions, nullptr, arguments, environment);
-    posix_spawn_file_actions_destroy(&actions);
-    if (failed == 0) return {};
-    id_ = -1;
-    return Fail(ErrorCode::kNotFound, name_ + ": cannot start " + program + ": " +
-                                          std::generic_category().message(failed));
-  }
-
-  // Exactly out.size() bytes.
-  Result<void> Take(std::span<char> out) {
-    while (!out.empty()) {
-      if (begin_ == end_) {
-        if (auto ok = Fill(); !ok) return ok;
+  Result<void> Read(std::span<const SurfacePoint> points, std::span<char* const> out) override {
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      while (points[i].triangle >= next_) {
+        if (auto ok = Advance(); !ok) return ok;
       }
-      const std::size_t n = std::min(out.size(), end_ - begin_);
-      std::memcpy(out.data(), buffer_.data() + begin_, n);
-      begin_ += n;
-      out = out.subspan(n);
+      const auto piece = static_cast<std::size_t>(points[i].triangle - first_);
+      if (piece >= pieces_.size()) return Absent();
+      for (std::size_t k = 0; k < wanted_.attributes.size(); ++k) {
+        Put(k, pieces_[piece], points[i].weight, out[k] + i * wanted_.attributes[k].bytes());
+      }
     }
     return {};
   }
-  template <class T>
-  Result<T> Number() {
-    std::array<char, sizeof(T)> bytes;
-    if (auto ok = Take(bytes); !ok) return Forward(ok);
-    T value;
-    std::memcpy(&value, bytes.data(), sizeof(T));
-    return value;
-  }
-  Result<std::string> Text() {
-    constexpr std::uint32_t kMost = 1 << 16;
-    const auto length = Number<std::uint32_t>();
-    if (!length) return Forward(length);
-    if (*length > kMost) return Nonsense();
-    std::string text(*length, '\0');
-    if (auto ok = Take(text); !ok) return Forward(ok);
-    return text;
-  }
-  tl::unexpected<Error> Nonsense() const {
-    return Fail(ErrorCode::kCorruptInput,
-                name_ + ": the process that reads it sent what cannot be understood");
-  }
 
  private:
-  tl::unexpected<Error> System(const char* what) const {
-    return Fail(ErrorCode::kIo,
-                name_ + ": " + what + ": " + std::generic_category().message(errno));
-  }
-
-  int Reap() {
-    int status = 0;
-    while (waitpid(id_, &status, 0) < 0 && errno == EINTR) {
-    }
-    id_ = -1;
-    return status;
-  }
-
-  Result<void> Fill() {
-    for (;;) {
-      if (context_ != nullptr && context_->cancelled()) return Cancelled();
-      struct pollfd wait {
-        pipe_.get(), POLLIN, 0
-      };
-      const int ready = poll(&wait, 1, kPollMs);
-      if (ready < 0 && errno != EINTR) return System("waiting for the process that reads it");
-      if (ready <= 0) continue;
-      const ssize_t n = read(pipe_.get(), buffer_.data(), buffer_.size());
-      if (n < 0 && errno == EINTR) continue;
-      if (n < 0) return System("reading from the process that reads it");
-      if (n == 0) return Died();
-      begin_ = 0;
-      end_ = static_cast<std::size_t>(n);
-      return {};
-    }
-  }
-
-  tl::unexpected<Error> Died() {
-    const int status = id_ > 0 ? Reap() : 0;
-    std::string how = "ended too early, with status " + std::to_string(WEXITSTATUS(status));
-    if (WIFSIGNALED(status)) {
-      const int signal = WTERMSIG(status);
-      how = signal == SIGXCPU ? "needed more processor time than it may"
-                              : std::string("was killed by signal ") + std::to_string(signal) +
-                                    " (" + strsignal(signal) + ")";
-    }
+  tl::unexpected<Error> Absent() const {
     return Fail(ErrorCode::kCorruptInput,
-                name_ + ": the process that reads it " + how + ": assimp does not stand this file");
+                name_ + ": a triangle is not there any more; did the file change meanwhile?");
   }
 
-  std::string name_;
-  const RunContext* context_;
-  Fd pipe_;
-  pid_t id_ = -1;
-  std::vector<char> buffer_;
-  std::size_t begin_ = 0, end_ = 0;
+  Result<void> Advance() {
+    const auto more = run_->records.Next(polygon_);
+    if (!more) return Forward(more);
+    if (!*more) return Absent();
+    pieces_.clear();
+    TriangulatePolygon(polygon_.corners, pieces_);
+    first_ = next_;
+    // As the reader numbers them.
+    next_ += polygon_.corners.size() < kFewestCorners ? 1 : pieces_.size();
+    return {};
+  }
+
+  void Put(std::size_t k, const std::array<std::uint32_t, 3>& piece,
+           const std::array<double, 3>& weight, char* out) const {
+    const MeshAttribute& attribute = wanted_.attributes[k];
+    const std::size_t offset = wanted_.offsets[k];
+    if (attribute.carry == Carry::kConstant) {
+      std::memcpy(out, &polygon_.ids[offset], sizeof(std::uint32_t));
+      return;
+    }
+    std::array<const char*, 3> corner{};
+    for (std::size_t v = 0; v < 3; ++v) {
+      corner[v] =
+          reinterpret_cast<const char*>(polygon_.values.data() + piece[v] * width_ + offset);
+    }
+    CarryValue(attribute, corner, weight, out);
+  }
+
+  const std::string name_;
+  const std::unique_ptr<AssimpRun> run_;
+  const AssimpColumns wanted_;
+  const std::size_t width_;
+  AssimpPolygon polygon_;
+  std::vector<std::array<std::uint32_t, 3>> pieces_;
+  std::uint64_t first_ = 0, next_ = 0;  // The triangles of polygon_.
 };
 
 class AssimpReader : public MeshReader {
@@ -188,15 +125,10 @@ class AssimpReader : public MeshReader {
   Result<std::size_t> Read(TriangleBatch& batch) override {
     batch.Clear();
     for (Drain(batch); !batch.full() && !ended_; Drain(batch)) {
-      const auto record = child_->Number<std::uint32_t>();
-      if (!record) return Forward(record);
-      if (*record == static_cast<std::uint32_t>(AssimpRecord::kEnd)) {
-        ended_ = true;
-      } else if (*record == static_cast<std::uint32_t>(AssimpRecord::kPolygon)) {
-        if (auto ok = Polygon(); !ok) return Forward(ok);
-      } else {
-        return child_->Nonsense();
-      }
+      const auto more = run_->records.Next(polygon_);
+      if (!more) return Forward(more);
+      ended_ = !*more;
+      if (*more) Cut();
     }
     return batch.size();
   }
@@ -207,11 +139,24 @@ class AssimpReader : public MeshReader {
     counts_.faces = counts_.triangles = 0;
     counts_.skipped = {};
     ended_ = false;
-    child_.reset();
-    child_ = std::make_unique<AssimpChild>(source_->name(), options_.context);
-    const std::string suffix = MeshSuffix(source_->name());
-    auto started = child_->Start(options_.assimp, copy_->descriptor(), memory_, suffix);
-    return started ? Head() : started;
+    auto run = StartRun(false, options_.context);
+    if (!run) return Forward(run);
+    run_ = std::move(*run);
+    return {};
+  }
+
+  std::span<const MeshAttribute> attributes() const override { return columns_.attributes; }
+  Result<std::unique_ptr<AttributePass>> ReadAttributes(std::span<const std::size_t> numbers,
+                                                        RunContext& context) override {
+    AssimpColumns wanted;
+    for (const std::size_t n : numbers) {
+      wanted.attributes.push_back(columns_.attributes[n]);
+      wanted.offsets.push_back(columns_.offsets[n]);
+    }
+    auto run = StartRun(true, &context);
+    if (!run) return Forward(run);
+    return std::make_unique<AssimpPass>(source_->name(), std::move(*run), std::move(wanted),
+                                        width_);
   }
 
  private:
@@ -229,78 +174,56 @@ class AssimpReader : public MeshReader {
     }
   }
 
-  Result<void> Head() {
-    const auto record = child_->Number<std::uint32_t>();
-    if (!record) return Forward(record);
-    if (*record == static_cast<std::uint32_t>(AssimpRecord::kFailure)) return Failure();
-    if (*record != static_cast<std::uint32_t>(AssimpRecord::kHead)) return child_->Nonsense();
-    std::array<std::uint64_t, 5> counts{};
-    for (std::uint64_t& count : counts) {
-      const auto number = child_->Number<std::uint64_t>();
-      if (!number) return Forward(number);
-      count = *number;
+  // Starts a child in place of the one there is, and takes in what it says first.
+  Result<std::unique_ptr<AssimpRun>> StartRun(bool attributes, const RunContext* context) {
+    run_.reset();
+    const AssimpOrder order{options_.assimp, copy_->descriptor(), memory_,
+                            MeshSuffix(source_->name()), attributes};
+    auto run = std::make_unique<AssimpRun>(source_->name(), order, context);
+    auto head = run->Start(order);
+    if (!head) return Forward(head);
+    if (!opened_) Describe(*head);
+    opened_ = true;
+    if (head->width() != width_) {
+      return Fail(ErrorCode::kCorruptInput,
+                  source_->name() + ": what its corners carry changed meanwhile");
     }
-    MeshContents contents;
-    counts_.vertices = counts[0];
-    contents.meshes = counts[1];
-    contents.instances = counts[2];
-    if (counts[3] > 0) contents.passed_over.emplace_back("points", counts[3]);
-    if (counts[4] > 0) contents.passed_over.emplace_back("lines", counts[4]);
-    auto format = child_->Text();
-    if (!format) return Forward(format);
-    info_.format = "assimp:" + *format;
-    const auto materials = child_->Number<std::uint32_t>();
-    if (!materials) return Forward(materials);
-    for (std::uint32_t i = 0; i < *materials; ++i) {
-      auto material = child_->Text();
-      if (!material) return Forward(material);
-      contents.materials.push_back(std::move(*material));
-    }
-    auto up = child_->Text();
-    if (!up) return Forward(up);
-    contents.up_axis = std::move(*up);
-    info_.contents = std::move(contents);
-    return {};
+    return run;
   }
 
-  tl::unexpected<Error> Failure() {
-    const auto code = child_->Number<std::uint32_t>();
-    if (!code) return Forward(code);
-    auto text = child_->Text();
-    if (!text) return Forward(text);
-    for (char& c : *text) c = c >= ' ' && c <= '~' ? c : ' ';
-    const ErrorCode kind = *code == 1   ? ErrorCode::kOverBudget
-                           : *code == 2 ? ErrorCode::kUnsupported
-                                        : ErrorCode::kCorruptInput;
-    return Fail(kind, source_->name() + ": assimp: " + *text);
+  void Describe(const AssimpHead& head) {
+    width_ = head.width();
+    counts_.vertices = head.vertices;
+    info_.format = "assimp:" + head.format;
+    MeshContents& contents = info_.contents;
+    contents.meshes = head.meshes;
+    contents.instances = head.placings;
+    if (head.points > 0) contents.passed_over.emplace_back("points", head.points);
+    if (head.lines > 0) contents.passed_over.emplace_back("lines", head.lines);
+    contents.materials = head.material_names;
+    contents.up_axis = head.up_axis;
+    columns_ = ListAssimpColumns(head);
   }
 
-  Result<void> Polygon() {
-    const auto corners = child_->Number<std::uint32_t>();
-    if (!corners) return Forward(corners);
-    if (*corners > kMostAssimpCorners) return child_->Nonsense();
-    ++counts_.faces;
-    if (*corners < 3) {
-      ++counts_.triangles;
-      ++counts_.skipped[static_cast<std::size_t>(SkipReason::kTooFewCorners)];
-    }
-    corners_.resize(*corners);
-    auto taken = child_->Take({reinterpret_cast<char*>(corners_.data()), *corners * sizeof(Vec3)});
-    if (!taken || *corners < 3) return taken;
+  void Cut() {
     pieces_.clear();
     next_piece_ = 0;
-    TriangulatePolygon(corners_, pieces_);
-    return {};
+    ++counts_.faces;
+    if (polygon_.corners.size() < kFewestCorners) {
+      ++counts_.triangles;
+      ++counts_.skipped[static_cast<std::size_t>(SkipReason::kTooFewCorners)];
+      return;
+    }
+    TriangulatePolygon(polygon_.corners, pieces_);
   }
 
   void Drain(TriangleBatch& batch) {
     for (; next_piece_ < pieces_.size() && !batch.full(); ++next_piece_) {
       const auto& [a, b, c] = pieces_[next_piece_];
-      batch.Push(corners_[a], corners_[b], corners_[c], counts_.triangles++);
+      const std::vector<Vec3>& corners = polygon_.corners;
+      batch.Push(corners[a], corners[b], corners[c], counts_.triangles++);
     }
   }
-
-  static_assert(sizeof(Vec3) == 3 * sizeof(double));
 
   std::unique_ptr<ByteSource> source_;
   const OpenOptions options_;
@@ -308,10 +231,12 @@ class AssimpReader : public MeshReader {
   std::unique_ptr<ScratchFile> copy_;
   std::uint64_t memory_ = 0;
   MemoryShare share_;
-  std::unique_ptr<AssimpChild> child_;
+  std::unique_ptr<AssimpRun> run_;
   ReadCounts counts_;
-  bool ended_ = false;
-  std::vector<Vec3> corners_;
+  AssimpColumns columns_;
+  std::size_t width_ = 0;
+  bool opened_ = false, ended_ = false;
+  AssimpPolygon polygon_;
   std::vector<std::array<std::uint32_t, 3>> pieces_;
   std::size_t next_piece_ = 0;
 };

@@ -2,6 +2,7 @@
 
 #include <draco/compression/decode.h>
 
+#include <algorithm>
 #include <cstring>
 #include <new>
 #include <utility>
@@ -103,6 +104,160 @@ Result<std::vector<double>> DracoMesh::Values(std::uint32_t unique_id, const std
                          });
   if (!ok) return Forward(ok);
   return values;
+}
+
+namespace {
+
+std::optional<ScalarType> ScalarOf(draco::DataType type) {
+  switch (type) {
+    case draco::DT_INT8:
+      return ScalarType::kInt8;
+    case draco::DT_UINT8:
+    case draco::DT_BOOL:
+      return ScalarType::kUint8;
+    case draco::DT_INT16:
+      return ScalarType::kInt16;
+    case draco::DT_UINT16:
+      return ScalarType::kUint16;
+    case draco::DT_INT32:
+      return ScalarType::kInt32;
+    case draco::DT_UINT32:
+      return ScalarType::kUint32;
+    case draco::DT_INT64:
+      return ScalarType::kInt64;
+    case draco::DT_UINT64:
+      return ScalarType::kUint64;
+    case draco::DT_FLOAT32:
+      return ScalarType::kFloat32;
+    case draco::DT_FLOAT64:
+      return ScalarType::kFloat64;
+    default:
+      return std::nullopt;
+  }
+}
+
+// Names by their number: the metadata's whole numbers, if they are close to each other. An entry
+// does not say of what type it is: any of four bytes could be one.
+std::vector<std::string> TableOf(const draco::AttributeMetadata& metadata) {
+  std::vector<std::string> names;
+  const auto most = metadata.num_entries();
+  for (const auto& [key, entry] : metadata.entries()) {
+    std::int32_t number = 0;
+    if (key == "name" || key == "file_name" || !metadata.GetEntryInt(key, &number)) continue;
+    if (number < 0 || number >= most) continue;
+    if (names.size() <= static_cast<std::size_t>(number)) {
+      names.resize(static_cast<std::size_t>(number) + 1);
+    }
+    names[static_cast<std::size_t>(number)] = key;
+  }
+  return names;
+}
+
+// What the attribute's type says.
+void SetMeaning(const draco::PointAttribute& from, MeshAttribute& attribute) {
+  const bool color_type = attribute.type == ScalarType::kUint8 ||
+                          attribute.type == ScalarType::kUint16 || !IsInteger(attribute.type);
+  const int n = attribute.components;
+  switch (from.attribute_type()) {
+    case draco::GeometryAttribute::NORMAL:
+      attribute.name = "vertex_normal";
+      if (n == 3 && !IsInteger(attribute.type)) attribute.semantic = Semantic::kNormal;
+      break;
+    case draco::GeometryAttribute::COLOR:
+      attribute.name = "color";
+      if ((n != 3 && n != 4) || !color_type) break;
+      attribute.semantic = Semantic::kColor;
+      attribute.color_space = ColorSpace::kSrgb;
+      attribute.normalized = IsInteger(attribute.type);
+      break;
+    case draco::GeometryAttribute::TEX_COORD:
+      attribute.name = "uv";
+      if (n == 2 && !IsInteger(attribute.type)) attribute.semantic = Semantic::kUv;
+      break;
+    default:
+      attribute.name = "generic";
+  }
+}
+
+void ReadMetadata(const draco::AttributeMetadata& metadata, MeshAttribute& attribute) {
+  std::string name;
+  if (metadata.GetEntryString("name", &name) && !name.empty()) attribute.name = name;
+  if (attribute.semantic != Semantic::kGeneric || attribute.components != 1) return;
+  if (!IsInteger(attribute.type)) return;
+  attribute.names = TableOf(metadata);
+  if (attribute.name == "material") attribute.semantic = Semantic::kMaterial;
+  if (attribute.name == "sub_obj") attribute.semantic = Semantic::kObject;
+}
+
+}  // namespace
+
+DracoColumns DracoMesh::Columns() const {
+  const draco::PointCloud& cloud = *decoded_->mesh;
+  const draco::PointAttribute* const position =
+      cloud.GetNamedAttribute(draco::GeometryAttribute::POSITION);
+  DracoColumns columns;
+  int sets[2] = {0, 0};  // Of colours and texture coordinates so far.
+  for (std::int32_t id = 0; id < cloud.num_attributes(); ++id) {
+    const draco::PointAttribute& from = *cloud.attribute(id);
+    const auto type = ScalarOf(from.data_type());
+    if (&from == position) continue;
+    if (!type || from.num_components() < 1 || from.num_components() > kMostComponents) {
+      ++columns.too_wide;
+      continue;
+    }
+    MeshAttribute attribute;
+    attribute.type = *type;
+    attribute.components = from.num_components();
+    attribute.normalized = from.normalized() && IsInteger(*type);
+    SetMeaning(from, attribute);
+    if (attribute.semantic == Semantic::kColor || attribute.semantic == Semantic::kUv) {
+      attribute.set = sets[attribute.semantic == Semantic::kUv ? 1 : 0]++;
+      if (attribute.set > 0) attribute.name += "_" + std::to_string(attribute.set);
+    }
+    const auto* const metadata = cloud.GetAttributeMetadataByAttributeId(id);
+    if (metadata != nullptr) ReadMetadata(*metadata, attribute);
+    attribute.carry = CarryFor(*type, attribute.normalized);
+    columns.attributes.push_back(std::move(attribute));
+    columns.numbers.push_back(static_cast<std::uint32_t>(id));
+  }
+  FixNames(columns.attributes);
+  return columns;
+}
+
+Result<void> DracoMesh::AppendRows(std::span<const std::uint32_t> numbers, const std::string& who,
+                                   RowTable& to) const {
+  const draco::PointCloud& cloud = *decoded_->mesh;
+  std::vector<const draco::PointAttribute*> from;
+  for (const std::uint32_t id : numbers) {
+    const bool there = id < static_cast<std::uint32_t>(cloud.num_attributes());
+    from.push_back(there ? cloud.attribute(static_cast<std::int32_t>(id)) : nullptr);
+    if (!there) {
+      return Fail(ErrorCode::kCorruptInput, who + ": the Draco data have no attribute " +
+                                                std::to_string(id) +
+                                                "; did the file change meanwhile?");
+    }
+  }
+  std::vector<char> row(to.row_bytes());
+  for (draco::PointIndex i(0); i < cloud.num_points(); ++i) {
+    char* out = row.data();
+    for (const draco::PointAttribute* const attribute : from) {
+      const auto n = static_cast<std::size_t>(draco::DataTypeLength(attribute->data_type())) *
+                     static_cast<std::size_t>(attribute->num_components());
+      const draco::AttributeValueIndex at = attribute->mapped_index(i);
+      const std::int64_t begin = attribute->GetBytePos(at);
+      const auto size = static_cast<std::int64_t>(attribute->buffer()->data_size());
+      if (at.value() >= attribute->size() || begin < 0 || begin > size ||
+          size - begin < static_cast<std::int64_t>(n) ||
+          static_cast<std::size_t>(row.data() + row.size() - out) < n) {
+        return Fail(ErrorCode::kCorruptInput,
+                    who + ": the Draco data have no value for point " + std::to_string(i.value()));
+      }
+      std::memcpy(out, attribute->buffer()->data() + begin, n);
+      out += n;
+    }
+    if (auto added = to.Append(row.data()); !added) return added;
+  }
+  return {};
 }
 
 void DracoMesh::Drop() {

@@ -5,15 +5,25 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "core/memory_account.h"
+#include "core/mesh_attributes.h"
 #include "core/result.h"
+#include "io/row_table.h"
 #include "io/vertex_store.h"
 
 namespace strata::io {
+
+/// What the points of a Draco mesh carry besides their position.
+struct DracoColumns {
+  std::vector<MeshAttribute> attributes;
+  std::vector<std::uint32_t> numbers;  ///< Of each, in the file's order of attributes.
+  std::uint64_t too_wide = 0;          ///< Attributes left out: above kMostComponents.
+};
 
 /// Faces of a mesh and, for a while, what its points carry. Memory: taken from the account; after
 /// Drop the faces alone. Threads: one at a time.
@@ -37,6 +47,15 @@ class DracoMesh {
   /// Values of the attribute with this unique id, component after component, point after point.
   Result<std::vector<double>> Values(std::uint32_t unique_id, const std::string& who,
                                      std::uint32_t components) const;
+  /// All attributes but the positions: normals, colours, texture coordinates, others, in the file's
+  /// order. A name is the entry `name` of the attribute's metadata, without it that of its type;
+  /// the metadata's other whole numbers are a table of names, as Draco's encoder writes it for the
+  /// materials and parts of an OBJ.
+  DracoColumns Columns() const;
+  /// Appends a row a point: the values of the attributes with these numbers, one behind the other,
+  /// as they are stored. Errors: kCorruptInput (no such attribute or value); the table's.
+  Result<void> AppendRows(std::span<const std::uint32_t> numbers, const std::string& who,
+                          RowTable& to) const;
   /// Everything but the faces goes.
   void Drop();
 

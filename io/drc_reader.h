@@ -11,8 +11,8 @@
 namespace strata::io {
 
 /// Opens a Draco mesh. Draco cannot be read in parts: the faces stay in memory, and decoding needs
-/// what DracoDecodeBytes says, which is taken from the account before it begins. Errors: those of
-/// OpenMesh; kUnsupported for point clouds.
+/// what DracoDecodeBytes says, which is taken from the account before it begins; fetching
+/// attributes decodes again. Errors: those of OpenMesh; kUnsupported for point clouds.
 Result<std::unique_ptr<MeshReader>> OpenDraco(std::unique_ptr<ByteSource> source,
                                               const OpenOptions& options);
 

@@ -1,4 +1,4 @@
-// What the vertices of an OFF file carry: COFF, NOFF and STOFF.
+// What the vertices of an OFF file carry (COFF, NOFF and STOFF), and the colours of its faces.
 #pragma once
 
 #include <cstddef>
@@ -15,17 +15,27 @@
 
 namespace strata::io {
 
-/// What follows the coordinates on a vertex's line, in this order.
+/// Numbers that are a colour.
+struct OffColor {
+  int components = 0;  ///< 0 = none, 3 or 4.
+  bool bytes = false;  ///< 0 to 255; otherwise 0 to 1.
+};
+
+/// What follows the coordinates on a vertex's line, in this order, and the corners on a face's.
 struct OffLayout {
-  bool normal = false;       ///< Three numbers.
-  int color = 0;             ///< Components: 0 = none, 3 or 4.
-  bool color_bytes = false;  ///< 0 to 255; otherwise 0 to 1.
-  bool uv = false;           ///< Two numbers.
+  bool normal = false;  ///< Three numbers.
+  OffColor color;
+  bool uv = false;  ///< Two numbers.
+  OffColor face_color;
+  bool face_index = false;  ///< One whole number instead: a place in a colour map of the viewer's.
 
   /// From the keyword's prefixes and what stands behind the coordinates of the first vertex: how
   /// many numbers a colour has, and whether they have a point, the file says nowhere else.
   static OffLayout Of(bool n, bool c, bool st, std::string_view behind_first);
-  /// `color`, `vertex_normal`, `uv`, as far as they are there.
+  /// Adds what the first face's line tells, for all of them.
+  void AddFaces(std::string_view first);
+  /// `color`, `vertex_normal`, `uv`, `face_color` (`color` where vertices have none) and
+  /// `color_index`, as far as they are there. A face without a colour has zeros, or NaN.
   std::vector<MeshAttribute> Attributes() const;
 };
 

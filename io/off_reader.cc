@@ -69,6 +69,7 @@ class OffReader : public MeshReader {
     places_.faces = face_count_;
     places_.faces_offset = faces_offset_;
     places_.faces_line = faces_line_;
+    PeekAtFaces();
     attributes_ = layout_.Attributes();
     if (auto ok = vertices_.Finish(); !ok) return ok;
     faces_.SetVertices(vertices_);
@@ -104,7 +105,7 @@ class OffReader : public MeshReader {
   Result<void> Rewind() override {
     faces_.Restart();
     faces_read_ = 0;
-    ended_ = false;
+    ended_ = held_ = false;
     if (vertices_.far() != nullptr) vertices_.far()->Rewind();
     return text_.Seek(faces_offset_, faces_line_);
   }
@@ -118,7 +119,8 @@ class OffReader : public MeshReader {
   }
 
   Result<void> LookAhead(FarVertices& far) {
-    const std::uint64_t offset = text_.next_offset(), line = text_.next_line_number();
+    const std::uint64_t offset = held_ ? faces_offset_ : text_.next_offset();
+    const std::uint64_t line = held_ ? faces_line_ : text_.next_line_number();
     const std::int64_t faces_read = faces_read_;
     const bool ended = ended_;
     FaceAssembler scout = faces_.Scout();
@@ -137,6 +139,7 @@ class OffReader : public MeshReader {
   // Goes to the next line that has something besides a comment, between p_ and last_. False at the
   // end or on an error.
   bool NextLine() {
+    if (std::exchange(held_, false)) return true;
     while (text_.Next()) {
       std::string_view line = text_.line();
       p_ = SkipBlanks(line.data(), line.data() + line.size());
@@ -144,6 +147,13 @@ class OffReader : public MeshReader {
       if (p_ < last_ && *p_ != '#') return true;
     }
     return false;
+  }
+  // Looks at the first face for what it carries, and holds its line back for whoever reads it. That
+  // there is none is theirs to say.
+  void PeekAtFaces() {
+    if (face_count_ == 0 || !NextLine()) return;
+    layout_.AddFaces({p_, static_cast<std::size_t>(last_ - p_)});
+    held_ = true;
   }
   bool AtEndOfLine() {
     p_ = SkipBlanks(p_, last_);
@@ -276,7 +286,7 @@ class OffReader : public MeshReader {
   FaceAssembler faces_;
   std::int64_t vertex_count_ = 0, face_count_ = 0, faces_read_ = 0;
   std::uint64_t faces_offset_ = 0, faces_line_ = 1;
-  bool ended_ = false;
+  bool ended_ = false, held_ = false;  // Whether NextLine has still to give the present line.
   Keyword keyword_;
   OffLayout layout_;
   OffPlaces places_;

@@ -1,7 +1,9 @@
 # Mesh readers beyond PLY, OBJ, STL and OFF.
 target_sources(strata_io PRIVATE
   ${CMAKE_CURRENT_LIST_DIR}/archive_mesh.cc
+  ${CMAKE_CURRENT_LIST_DIR}/assimp_child.cc
   ${CMAKE_CURRENT_LIST_DIR}/assimp_reader.cc
+  ${CMAKE_CURRENT_LIST_DIR}/assimp_records.cc
   ${CMAKE_CURRENT_LIST_DIR}/companion_file.cc
   ${CMAKE_CURRENT_LIST_DIR}/draco_header.cc
   ${CMAKE_CURRENT_LIST_DIR}/draco_mesh.cc
@@ -18,6 +20,7 @@ target_sources(strata_io PRIVATE
   ${CMAKE_CURRENT_LIST_DIR}/json_text.cc
   ${CMAKE_CURRENT_LIST_DIR}/obj_materials.cc
   ${CMAKE_CURRENT_LIST_DIR}/placed_reader.cc
+  ${CMAKE_CURRENT_LIST_DIR}/three_mf_attributes.cc
   ${CMAKE_CURRENT_LIST_DIR}/three_mf_package.cc
   ${CMAKE_CURRENT_LIST_DIR}/three_mf_reader.cc
   ${CMAKE_CURRENT_LIST_DIR}/xml_stream.cc

@@ -17,6 +17,8 @@ namespace {
 using namespace std::string_view_literals;
 
 constexpr std::string_view kCore = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02|";
+constexpr std::string_view kMaterials =
+    "http://schemas.microsoft.com/3dmanufacturing/material/2015/02|";
 constexpr std::string_view kProductionPath =
     "http://schemas.microsoft.com/3dmanufacturing/production/2015/06|path";
 constexpr std::string_view kModelRelation =
@@ -27,6 +29,7 @@ constexpr std::array kReadExtensions = {
     "http://schemas.microsoft.com/3dmanufacturing/material/2015/02"sv,
     "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"sv};
 constexpr std::size_t kMostParts = 4096;
+constexpr ThreeMfGroup::Color kNoColor = {255, 255, 255, 255};
 
 tl::unexpected<Error> Corrupt(const std::string& what) {
   return Fail(ErrorCode::kCorruptInput, what);
@@ -71,6 +74,9 @@ class ModelHandler : public XmlStream::Handler {
   }
 
   Result<void> Begin(std::string_view name, const XmlAttributes& attributes) override {
+    if (name.starts_with(kMaterials)) {
+      return BeginMaterials(name.substr(kMaterials.size()), attributes);
+    }
     if (!name.starts_with(kCore)) return {};
     name.remove_prefix(kCore.size());
     if (name == "vertex") return Vertex(attributes);
@@ -80,14 +86,16 @@ class ModelHandler : public XmlStream::Handler {
     if (name == "component") return Component(attributes);
     if (name == "item") return Item(attributes);
     if (name == "model") return Model(attributes);
-    if (name == "base") {
-      const char* const material = attributes.Find("name");
-      model_.materials.emplace_back(material == nullptr ? "" : material);
-    }
+    if (name == "basematerials") return Group(ThreeMfGroup::Kind::kMaterials, attributes);
+    if (name == "base") return Base(attributes);
     return {};
   }
 
   Result<void> End(std::string_view name) override {
+    if (name.ends_with("|basematerials") || name.ends_with("|colorgroup") ||
+        name.ends_with("|multiproperties")) {
+      group_ = nullptr;
+    }
     if (!name.starts_with(kCore)) return {};
     name.remove_prefix(kCore.size());
     if (name == "mesh" && mesh_ != nullptr) {
@@ -153,6 +161,135 @@ class ModelHandler : public XmlStream::Handler {
     const auto [it, fresh] = model_.objects.try_emplace({part_, *id});
     if (!fresh) return Corrupt("a second object " + std::to_string(*id));
     object_ = &it->second;
+    if (const char* const called = attributes.Find("name")) object_->name = called;
+    const auto property = Property(attributes, {"pindex", "pindex", "pindex"});
+    if (!property) return Forward(property);
+    object_->property = *property;
+    return {};
+  }
+
+  // The number of `name`; `absent` where it is not there.
+  static Result<std::uint32_t> WholeOr(const XmlAttributes& attributes, const char* name,
+                                       std::uint32_t absent) {
+    if (attributes.Find(name) == nullptr) return absent;
+    const auto value = Whole(attributes, name);
+    if (!value) return Forward(value);
+    return static_cast<std::uint32_t>(std::min<std::uint64_t>(*value, UINT32_MAX - 1));
+  }
+  // Of a triangle or object. What the second and third corner do not say is as the first.
+  static Result<ThreeMfProperty> Property(const XmlAttributes& attributes,
+                                          const std::array<const char*, 3>& names) {
+    ThreeMfProperty property;
+    const auto group = WholeOr(attributes, "pid", ThreeMfProperty::kNone);
+    if (!group) return Forward(group);
+    property.group = *group;
+    for (std::size_t i = 0; i < 3; ++i) {
+      const auto entry = WholeOr(attributes, names[i], property.entry[0]);
+      if (!entry) return Forward(entry);
+      property.entry[i] = *entry;
+    }
+    return property;
+  }
+
+  // --- Property groups --------------------------------------------------------------------------
+
+  Result<void> BeginMaterials(std::string_view name, const XmlAttributes& attributes) {
+    if (name == "color") return Color(attributes, "color");
+    if (name == "multi") return Multi(attributes);
+    if (name == "colorgroup") return Group(ThreeMfGroup::Kind::kColors, attributes);
+    if (name == "multiproperties") return Group(ThreeMfGroup::Kind::kLayers, attributes);
+    if (name == "texture2dgroup" || name == "compositematerials") ++model_.other_groups;
+    return {};
+  }
+
+  Result<void> Group(ThreeMfGroup::Kind kind, const XmlAttributes& attributes) {
+    const auto id = WholeOr(attributes, "id", ThreeMfProperty::kNone);
+    if (!id) return Forward(id);
+    if (*id == ThreeMfProperty::kNone) return Corrupt("expected an attribute id");
+    const auto [it, fresh] = model_.groups.try_emplace({part_, *id});
+    if (!fresh) return Corrupt("a second group of properties " + std::to_string(*id));
+    group_ = &it->second;
+    group_->kind = kind;
+    group_->first_material = static_cast<std::uint32_t>(model_.materials.size());
+    return kind == ThreeMfGroup::Kind::kLayers ? Numbers(attributes, "pids", group_->layers)
+                                               : Result<void>();
+  }
+
+  // A list of whole numbers.
+  static Result<void> Numbers(const XmlAttributes& attributes, const char* name,
+                              std::vector<std::uint32_t>& out) {
+    const auto text = Need(attributes, name);
+    if (!text) return Forward(text);
+    const char* p = *text;
+    const char* const last = p + std::strlen(p);
+    for (p = SkipBlanks(p, last); p < last; p = SkipBlanks(p, last)) {
+      const auto [end, error] = std::from_chars(p, last, out.emplace_back());
+      if (error != std::errc()) {
+        return Corrupt(std::string(name) + ": found " + Quoted(*text) + ", expected whole numbers");
+      }
+      p = end;
+    }
+    return {};
+  }
+
+  Result<void> Base(const XmlAttributes& attributes) {
+    if (group_ == nullptr) return Corrupt("a base material in no group");
+    const char* const material = attributes.Find("name");
+    const bool shown = attributes.Find("displaycolor") != nullptr;
+    auto ok = shown ? Color(attributes, "displaycolor") : Grow(group_->colors, kNoColor);
+    if (!ok) return ok;
+    model_.materials.emplace_back(material == nullptr ? "" : material);
+    return {};
+  }
+
+  // "#RRGGBB" or "#RRGGBBAA".
+  Result<void> Color(const XmlAttributes& attributes, const char* name) {
+    if (group_ == nullptr) return Corrupt("a colour in no group");
+    const auto text = Need(attributes, name);
+    if (!text) return Forward(text);
+    const std::string_view digits = *text;
+    ThreeMfGroup::Color color = kNoColor;
+    bool good = digits.starts_with('#') && (digits.size() == 7 || digits.size() == 9);
+    for (std::size_t i = 0; good && 2 * i + 3 <= digits.size(); ++i) {
+      const char* const at = digits.data() + 1 + 2 * i;
+      const auto [end, error] = std::from_chars(at, at + 2, color[i], 16);
+      good = error == std::errc() && end == at + 2;
+    }
+    if (!good) {
+      return Corrupt(std::string(name) + ": found " + Quoted(*text) +
+                     ", expected a colour such as #RRGGBB or #RRGGBBAA");
+    }
+    model_.has_colors = true;
+    return Grow(group_->colors, color);
+  }
+
+  Result<void> Multi(const XmlAttributes& attributes) {
+    if (group_ == nullptr || group_->kind != ThreeMfGroup::Kind::kLayers) {
+      return Corrupt("an entry of layers in no group");
+    }
+    std::vector<std::uint32_t> entry;
+    if (auto ok = Numbers(attributes, "pindices", entry); !ok) return ok;
+    // What is not there is the first.
+    entry.resize(group_->layers.size());
+    for (const std::uint32_t index : entry) {
+      if (auto ok = Grow(group_->entries, index); !ok) return ok;
+    }
+    return {};
+  }
+
+  // Appends, taking the memory from the account first.
+  template <class T>
+  Result<void> Grow(std::vector<T>& to, const T& value) {
+    if (to.size() == to.capacity()) {
+      const std::size_t more = std::max<std::size_t>(64, to.size());
+      if (options_.memory != nullptr) {
+        auto share = options_.memory->Take(more * sizeof(T), name_ + ": groups of properties");
+        if (!share) return Forward(share);
+        model_.shares.push_back(std::move(*share));
+      }
+      to.reserve(to.size() + more);
+    }
+    to.push_back(value);
     return {};
   }
 
@@ -191,6 +328,27 @@ class ModelHandler : public XmlStream::Handler {
       found[i] = static_cast<std::uint32_t>(std::min<std::uint64_t>(*corner, UINT32_MAX));
     }
     std::copy_n(found, 3, corners.Extend(3).begin());
+    const auto property = Property(attributes, {"p1", "p2", "p3"});
+    if (!property) return Forward(property);
+    return AddProperty(*property);
+  }
+
+  // From the first triangle on that has one.
+  Result<void> AddProperty(const ThreeMfProperty& property) {
+    GrowArray<ThreeMfProperty>& properties = mesh_->properties;
+    const bool silent = property.entry[0] == ThreeMfProperty::kNone;
+    if (properties.size() == 0 && silent) return {};
+    const std::size_t behind = mesh_->corners.size() / 3;
+    const std::size_t missing = behind - properties.size();
+    if (missing > properties.capacity() - properties.size() && options_.memory != nullptr) {
+      const std::size_t bytes = (properties.size() / 2 + missing + 64) * sizeof(ThreeMfProperty);
+      auto share = options_.memory->Take(bytes, name_ + ": the triangles' properties");
+      if (!share) return Forward(share);
+      mesh_->shares.push_back(std::move(*share));
+    }
+    const std::span<ThreeMfProperty> added = properties.Extend(missing);
+    std::fill(added.begin(), added.end(), ThreeMfProperty());
+    added.back() = property;
     return {};
   }
 
@@ -231,6 +389,8 @@ class ModelHandler : public XmlStream::Handler {
     auto item = Reference(attributes);
     if (!item) return Forward(item);
     model_.items.push_back(std::move(*item));
+    const char* const number = attributes.Find("partnumber");
+    model_.item_names.emplace_back(number == nullptr ? "" : number);
     return {};
   }
 
@@ -242,6 +402,7 @@ class ModelHandler : public XmlStream::Handler {
   std::map<std::string, std::string> prefixes_;
   ThreeMfObject* object_ = nullptr;
   std::shared_ptr<ThreeMfMesh> mesh_;
+  ThreeMfGroup* group_ = nullptr;
 };
 
 Result<void> Parse(ZipArchive& archive, const std::string& member, XmlStream::Handler& handler) {

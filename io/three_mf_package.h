@@ -1,6 +1,7 @@
 // The parts of a 3MF package: objects and where they are placed.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <map>
 #include <memory>
@@ -9,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/memory_account.h"
 #include "core/mesh_reader.h"
 #include "core/result.h"
 #include "io/affine.h"
@@ -19,12 +21,22 @@
 
 namespace strata::io {
 
+/// What a triangle or object says of its properties: a group of resources and an entry of it for
+/// each corner. Without a first entry it says nothing, and the object's counts; without a group the
+/// object's group does.
+struct ThreeMfProperty {
+  static constexpr std::uint32_t kNone = UINT32_MAX;
+  std::uint32_t group = kNone;  ///< The file's number of it.
+  std::array<std::uint32_t, 3> entry = {kNone, kNone, kNone};
+};
+
 /// A mesh object's data. Memory: the vertices (beyond the budget in scratch space) and 12 bytes a
-/// triangle, taken from the account.
+/// triangle, 28 where one of them has properties of its own, taken from the account.
 struct ThreeMfMesh {
   ThreeMfMesh(const std::string& name, const OpenOptions& options) : vertices(name, options) {}
   VertexStore vertices;
   GrowArray<std::uint32_t> corners;
+  GrowArray<ThreeMfProperty> properties;  ///< Of each triangle; empty if none has its own.
   std::vector<MemoryShare> shares;
 };
 
@@ -37,6 +49,20 @@ struct ThreeMfObject {
     Affine transform;
   };
   std::vector<Component> components;
+  std::string name;
+  ThreeMfProperty property;  ///< Of triangles that say nothing.
+};
+
+/// A group of properties: base materials, colours, or layers of others.
+struct ThreeMfGroup {
+  enum class Kind : std::uint8_t { kMaterials, kColors, kLayers };
+  using Color = std::array<std::uint8_t, 4>;  ///< sRGB and alpha.
+
+  Kind kind = Kind::kMaterials;
+  std::uint32_t first_material = 0;    ///< Of entry 0, in ThreeMfModel::materials.
+  std::vector<Color> colors;           ///< Of each entry; of base materials as displayed.
+  std::vector<std::uint32_t> layers;   ///< The groups' numbers.
+  std::vector<std::uint32_t> entries;  ///< One for each layer, entry after entry.
 };
 
 struct ThreeMfModel {
@@ -44,7 +70,13 @@ struct ThreeMfModel {
   std::map<std::pair<std::string, std::uint64_t>, ThreeMfObject> objects;
   std::vector<ThreeMfObject::Component> items;  ///< Of the build.
   std::string unit = "millimeter";              ///< As the file says it.
-  std::vector<std::string> materials;
+  std::vector<std::string> materials;           ///< Names of all base materials.
+  /// Property groups by member of the archive and number.
+  std::map<std::pair<std::string, std::uint32_t>, ThreeMfGroup> groups;
+  std::vector<std::string> item_names;  ///< Of the items: their part numbers.
+  bool has_colors = false;
+  std::uint64_t other_groups = 0;  ///< Of textures, composites and what else there is.
+  std::vector<MemoryShare> shares;
 };
 
 /// Reads the root model and the model parts that its components name. Everything is looked for

@@ -2,12 +2,15 @@
 
 #include <array>
 #include <map>
+#include <memory>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "io/placed_reader.h"
 #include "io/quote.h"
+#include "io/three_mf_attributes.h"
 #include "io/three_mf_package.h"
 #include "io/within_memory.h"
 
@@ -59,8 +62,8 @@ class ThreeMfReader : public PlacedReader {
   }
 
   Result<void> Load() {
-    for (const auto& item : model_.items) {
-      if (auto ok = Visit(item, Affine(), 0); !ok) return ok;
+    for (; item_ < model_.items.size(); ++item_) {
+      if (auto ok = Visit(model_.items[item_], Affine(), 0); !ok) return ok;
     }
     MeshContents& contents = info_.contents;
     contents.meshes = 0;
@@ -75,12 +78,29 @@ class ThreeMfReader : public PlacedReader {
     contents.up_axis = "z";
     contents.materials = model_.materials;
     if (unplaced_ > 0) contents.passed_over.emplace_back("meshes outside the build", unplaced_);
+    if (model_.other_groups > 0) {
+      contents.passed_over.emplace_back("groups of textures or composites", model_.other_groups);
+    }
+    attributes_ = ListThreeMfAttributes(model_, objects_);
     return Rewind();
+  }
+
+  std::span<const MeshAttribute> attributes() const override { return attributes_; }
+  Result<std::unique_ptr<AttributePass>> ReadAttributes(std::span<const std::size_t> numbers,
+                                                        RunContext& context) override {
+    std::vector<MeshAttribute> wanted;
+    for (const std::size_t n : numbers) wanted.push_back(attributes_[n]);
+    const auto locate = [this](std::uint64_t triangle) -> ThreeMfPlace {
+      const Location at = Locate(triangle);
+      return {at.placement, at.triangle, items_[at.transform],
+              transforms_[at.transform].Determinant() < 0};
+    };
+    return PassOverThreeMf(model_, objects_, std::move(wanted), locate, context);
   }
 
  protected:
   Result<std::shared_ptr<PlacedGeometry>> LoadGeometry(std::size_t placement) override {
-    return std::make_shared<Geometry>(meshes_[placement]);
+    return std::make_shared<Geometry>(objects_[placement].object->mesh);
   }
   const Affine& TransformOf(std::size_t number) const override { return transforms_[number]; }
 
@@ -100,7 +120,9 @@ class ThreeMfReader : public PlacedReader {
                   source().name() + ": more than " + std::to_string(kMostPlacings) + " placings");
     }
     const Affine world = parent.is_identity() ? at.transform : parent * at.transform;
-    if (found->second.mesh != nullptr) places_[found->first].push_back(world);
+    if (found->second.mesh != nullptr) {
+      places_[found->first].emplace_back(world, static_cast<std::uint32_t>(item_));
+    }
     for (const auto& component : found->second.components) {
       if (auto ok = Visit(component, world, depth + 1); !ok) return ok;
     }
@@ -113,15 +135,21 @@ class ThreeMfReader : public PlacedReader {
     const std::uint64_t triangles = object.mesh->corners.size() / 3;
     if (triangles == 0) return {};
     const std::size_t first = transforms_.size();
-    transforms_.insert(transforms_.end(), places->second.begin(), places->second.end());
-    meshes_.push_back(object.mesh);
+    for (const auto& [transform, item] : places->second) {
+      transforms_.push_back(transform);
+      items_.push_back(item);
+    }
+    objects_.push_back({key.first, key.second, &object});
     return AddPlacement({first, places->second.size(), triangles});
   }
 
   ThreeMfModel model_;
-  std::map<Key, std::vector<Affine>> places_;
-  std::vector<std::shared_ptr<ThreeMfMesh>> meshes_;  // Of each placement.
+  std::map<Key, std::vector<std::pair<Affine, std::uint32_t>>> places_;  // And the items.
+  std::vector<ThreeMfMeshObject> objects_;                               // Of each placement.
   std::vector<Affine> transforms_;
+  std::vector<std::uint32_t> items_;  // Of each transform.
+  std::vector<MeshAttribute> attributes_;
+  std::size_t item_ = 0;  // The one that is visited.
   std::uint64_t placings_ = 0, unplaced_ = 0;
 };
 

@@ -1,5 +1,6 @@
-// strata-assimp MEMORY SUFFIX: reads the mesh on descriptor 3 with assimp and writes its polygons,
-// placed in the world, to standard output as io/assimp_stream.h says.
+// strata-assimp MEMORY SUFFIX surface|attributes: reads the mesh on descriptor 3 with assimp and
+// writes its polygons, placed in the world, with or without what their corners carry, to standard
+// output as io/assimp_stream.h says.
 //
 // A program of its own because assimp's parsers have a history of memory errors: it may allocate
 // MEMORY bytes, use a bounded time, and do nothing with the system but read and write what it has
@@ -20,20 +21,25 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <algorithm>
+#include <array>
 #include <assimp/Importer.hpp>
 #include <cerrno>
 #include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
+#include <limits>
 #include <new>
 #include <string>
 #include <vector>
 
+#include "io/affine.h"
 #include "io/assimp_stream.h"
 
 namespace {
 
+using strata::io::Affine;
 using strata::io::AssimpRecord;
 using strata::io::kAssimpInput;
 
@@ -55,8 +61,7 @@ class Output {
   }
   void Record(AssimpRecord record) { Number(static_cast<std::uint32_t>(record)); }
   void Text(std::string text) {
-    constexpr std::size_t kMost = 4096;
-    text.resize(std::min(text.size(), kMost));
+    text.resize(std::min<std::size_t>(text.size(), strata::io::kMostAssimpText));
     Number(static_cast<std::uint32_t>(text.size()));
     Put(text.data(), text.size());
   }
@@ -129,24 +134,32 @@ std::string ReadInput() {
 }
 
 struct Placed {
-  const aiMesh* mesh;
-  aiMatrix4x4t<double> transform;
+  unsigned mesh;
+  std::uint32_t node;  // Among those that place a mesh.
+  Affine transform;
+};
+
+// All placings, and the nodes that make them.
+struct Scene {
+  std::vector<Placed> placed;
+  std::vector<const aiNode*> nodes;
 };
 
 // Every mesh of every node. assimp makes a tree of its own, so that it has no cycles.
-void Place(const aiScene& scene, const aiNode& node, const aiMatrix4x4t<double>& parent, int depth,
-           std::vector<Placed>& placed) {
+void Place(const aiNode& node, const Affine& parent, int depth, Scene& scene) {
   if (depth > kMostDepth) FailWith(0, "nodes are nested too deeply");
   const aiMatrix4x4& m = node.mTransformation;
-  const aiMatrix4x4t<double> local(m.a1, m.a2, m.a3, m.a4, m.b1, m.b2, m.b3, m.b4, m.c1, m.c2, m.c3,
-                                   m.c4, m.d1, m.d2, m.d3, m.d4);
-  const aiMatrix4x4t<double> world = parent * local;
+  Affine world;
+  world.m = {m.a1, m.a2, m.a3, m.a4, m.b1, m.b2, m.b3, m.b4, m.c1, m.c2, m.c3, m.c4};
+  world = parent * world;
   for (unsigned i = 0; i < node.mNumMeshes; ++i) {
-    if (placed.size() == kMostPlacings) FailWith(1, "more than 2^20 placings of meshes");
-    placed.push_back({scene.mMeshes[node.mMeshes[i]], world});
+    if (scene.placed.size() == kMostPlacings) FailWith(1, "more than 2^20 placings of meshes");
+    const auto number = static_cast<std::uint32_t>(scene.nodes.size());
+    scene.placed.push_back({node.mMeshes[i], number, world});
   }
+  if (node.mNumMeshes > 0) scene.nodes.push_back(&node);
   for (unsigned i = 0; i < node.mNumChildren; ++i) {
-    Place(scene, *node.mChildren[i], world, depth + 1, placed);
+    Place(*node.mChildren[i], world, depth + 1, scene);
   }
 }
 
@@ -157,8 +170,37 @@ std::string UpAxis(const aiScene& scene) {
   return axis >= 0 && axis < 3 ? kNames[axis] : "";
 }
 
-void WriteHead(const aiScene& scene, const std::vector<Placed>& placed, const std::string& format,
-               Output& out) {
+// What corners carry, in all meshes together.
+struct Carried {
+  bool normals = false;
+  unsigned colors = 0, uvs = 0;  // Sets.
+
+  explicit Carried(const aiScene& scene) {
+    static_assert(AI_MAX_NUMBER_OF_COLOR_SETS <= strata::io::kMostAssimpSets &&
+                  AI_MAX_NUMBER_OF_TEXTURECOORDS <= strata::io::kMostAssimpSets);
+    for (unsigned i = 0; i < scene.mNumMeshes; ++i) {
+      const aiMesh& mesh = *scene.mMeshes[i];
+      normals = normals || mesh.mNormals != nullptr;
+      for (unsigned k = 0; k < AI_MAX_NUMBER_OF_COLOR_SETS; ++k) {
+        if (mesh.mColors[k] != nullptr) colors = std::max(colors, k + 1);
+      }
+      for (unsigned k = 0; k < AI_MAX_NUMBER_OF_TEXTURECOORDS; ++k) {
+        if (mesh.mTextureCoords[k] != nullptr) uvs = std::max(uvs, k + 1);
+      }
+    }
+  }
+};
+
+// A list of `count` names, of which name(i) gives the i-th.
+template <class Name>
+void WriteNames(std::size_t count, Output& out, Name name) {
+  if (count > strata::io::kMostAssimpNames) FailWith(1, "more than 2^20 names");
+  out.Number(static_cast<std::uint32_t>(count));
+  for (std::size_t i = 0; i < count; ++i) out.Text(name(i));
+}
+
+void WriteHead(const aiScene& scene, const Scene& unrolled, const Carried& carried,
+               const std::string& format, Output& out) {
   std::uint64_t vertices = 0, points = 0, lines = 0;
   for (unsigned i = 0; i < scene.mNumMeshes; ++i) {
     const aiMesh& mesh = *scene.mMeshes[i];
@@ -169,44 +211,94 @@ void WriteHead(const aiScene& scene, const std::vector<Placed>& placed, const st
     }
   }
   out.Record(AssimpRecord::kHead);
-  for (const std::uint64_t count :
-       {vertices, std::uint64_t{scene.mNumMeshes}, std::uint64_t{placed.size()}, points, lines}) {
+  for (const std::uint64_t count : {vertices, std::uint64_t{scene.mNumMeshes},
+                                    std::uint64_t{unrolled.placed.size()}, points, lines}) {
     out.Number(count);
   }
   out.Text(format);
-  out.Number(static_cast<std::uint32_t>(scene.mNumMaterials));
-  for (unsigned i = 0; i < scene.mNumMaterials; ++i) {
-    out.Text(scene.mMaterials[i]->GetName().C_Str());
-  }
+  WriteNames(scene.mNumMaterials, out,
+             [&](std::size_t i) -> std::string { return scene.mMaterials[i]->GetName().C_Str(); });
   out.Text(UpAxis(scene));
+  for (const unsigned number : {carried.normals ? 1u : 0u, carried.colors, carried.uvs}) {
+    out.Number(std::uint32_t{number});
+  }
+  WriteNames(scene.mNumMeshes, out,
+             [&](std::size_t i) -> std::string { return scene.mMeshes[i]->mName.C_Str(); });
+  WriteNames(unrolled.nodes.size(), out,
+             [&](std::size_t i) -> std::string { return unrolled.nodes[i]->mName.C_Str(); });
 }
 
-void WritePolygons(const Placed& placed, Output& out) {
-  const aiMesh& mesh = *placed.mesh;
-  const aiMatrix4x4t<double>& m = placed.transform;
-  const bool still = m == aiMatrix4x4t<double>();
-  const double turn = m.a1 * (m.b2 * m.c3 - m.b3 * m.c2) - m.a2 * (m.b1 * m.c3 - m.b3 * m.c1) +
-                      m.a3 * (m.b1 * m.c2 - m.b2 * m.c1);
+constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+
+template <std::size_t N>
+void WriteFloats(const std::array<float, N>& values, Output& out) {
+  out.Put(values.data(), sizeof values);
+}
+
+// What vertex `index` carries.
+void WriteValues(const aiMesh& mesh, unsigned index, const Affine& transform,
+                 const Carried& carried, Output& out) {
+  if (carried.normals) {
+    std::array<float, 3> normal = {kNone, kNone, kNone};
+    if (mesh.mNormals != nullptr) {
+      const aiVector3D& n = mesh.mNormals[index];
+      const strata::Vec3 turned = transform.TurnNormal({n.x, n.y, n.z});
+      for (int k = 0; k < 3; ++k)
+        normal[static_cast<std::size_t>(k)] = static_cast<float>(turned[k]);
+    }
+    WriteFloats(normal, out);
+  }
+  for (unsigned k = 0; k < carried.colors; ++k) {
+    std::array<float, 4> color = {1, 1, 1, 1};
+    if (const aiColor4D* const set = mesh.mColors[k]) {
+      color = {set[index].r, set[index].g, set[index].b, set[index].a};
+    }
+    WriteFloats(color, out);
+  }
+  for (unsigned k = 0; k < carried.uvs; ++k) {
+    std::array<float, 2> uv = {kNone, kNone};
+    if (const aiVector3D* const set = mesh.mTextureCoords[k]) uv = {set[index].x, set[index].y};
+    WriteFloats(uv, out);
+  }
+}
+
+// Of a placing; with values if `carried` is given.
+void WritePolygons(const aiMesh& mesh, const Placed& placed, const Carried* carried, Output& out) {
+  const Affine& transform = placed.transform;
+  const bool still = transform.is_identity(), mirrored = transform.Determinant() < 0;
+  out.Record(AssimpRecord::kPlaced);
+  for (const std::uint32_t id :
+       {std::uint32_t{placed.mesh}, placed.node, std::uint32_t{mesh.mMaterialIndex}}) {
+    out.Number(id);
+  }
   for (unsigned f = 0; f < mesh.mNumFaces; ++f) {
     const aiFace& face = mesh.mFaces[f];
     const unsigned n = face.mNumIndices;
-    if (n == 1 || n == 2 || n > strata::io::kMostAssimpCorners) continue;
+    if (n == 1 || n == 2) continue;
+    if (n > strata::io::kMostAssimpCorners) {
+      out.Record(AssimpRecord::kFailure);
+      out.Number(std::uint32_t{1});
+      out.Text("a polygon of more than 2^20 corners");
+      out.Flush();
+      _exit(0);
+    }
+    // Mirrored, the corners go round the other way.
+    const auto index = [&](unsigned k) { return face.mIndices[mirrored ? n - 1 - k : k]; };
     out.Record(AssimpRecord::kPolygon);
-    out.Number(static_cast<std::uint32_t>(n));
+    out.Number(std::uint32_t{n});
     for (unsigned k = 0; k < n; ++k) {
-      // Mirrored, the corners go round the other way.
-      const unsigned index = face.mIndices[turn < 0 ? n - 1 - k : k];
-      if (index >= mesh.mNumVertices) _exit(3);
-      const aiVector3D& v = mesh.mVertices[index];
-      const double x = v.x, y = v.y, z = v.z;
-      out.Number(still ? x : m.a1 * x + m.a2 * y + m.a3 * z + m.a4);
-      out.Number(still ? y : m.b1 * x + m.b2 * y + m.b3 * z + m.b4);
-      out.Number(still ? z : m.c1 * x + m.c2 * y + m.c3 * z + m.c4);
+      if (index(k) >= mesh.mNumVertices) _exit(3);
+      const aiVector3D& v = mesh.mVertices[index(k)];
+      const strata::Vec3 at{v.x, v.y, v.z};
+      out.Number(still ? at : transform(at));
+    }
+    for (unsigned k = 0; carried != nullptr && k < n; ++k) {
+      WriteValues(mesh, index(k), transform, *carried, out);
     }
   }
 }
 
-void Convert(const std::string& bytes, const std::string& suffix) {
+void Convert(const std::string& bytes, const std::string& suffix, bool attributes) {
   Assimp::Importer importer;
   const aiScene* const scene =
       importer.ReadFileFromMemory(bytes.data(), bytes.size(), 0, suffix.c_str());
@@ -217,11 +309,14 @@ void Convert(const std::string& bytes, const std::string& suffix) {
   }
   const aiImporterDesc* const about = importer.GetImporterInfo(
       static_cast<std::size_t>(importer.GetPropertyInteger("importerIndex", -1)));
-  std::vector<Placed> placed;
-  if (scene->mRootNode != nullptr) Place(*scene, *scene->mRootNode, {}, 0, placed);
+  Scene unrolled;
+  if (scene->mRootNode != nullptr) Place(*scene->mRootNode, {}, 0, unrolled);
+  const Carried carried(*scene);
   Output out;
-  WriteHead(*scene, placed, about == nullptr ? "" : about->mName, out);
-  for (const Placed& each : placed) WritePolygons(each, out);
+  WriteHead(*scene, unrolled, carried, about == nullptr ? "" : about->mName, out);
+  for (const Placed& each : unrolled.placed) {
+    WritePolygons(*scene->mMeshes[each.mesh], each, attributes ? &carried : nullptr, out);
+  }
   out.Record(AssimpRecord::kEnd);
   out.Flush();
 }
@@ -229,7 +324,9 @@ void Convert(const std::string& bytes, const std::string& suffix) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 3) return 2;
+  const std::string run = argc == 4 ? argv[3] : "";
+  const bool attributes = run == strata::io::kAssimpAttributes;
+  if (!attributes && run != strata::io::kAssimpSurface) return 2;
   // The libraries are mapped already, and count.
   constexpr rlim_t kOwn = rlim_t{256} << 20;
   Limit(RLIMIT_AS, static_cast<rlim_t>(std::strtoull(argv[1], nullptr, 10)) + kOwn);
@@ -240,7 +337,7 @@ int main(int argc, char** argv) {
   try {
     const std::string bytes = ReadInput();
     Confine();
-    Convert(bytes, argv[2]);
+    Convert(bytes, argv[2], attributes);
   } catch (const std::bad_alloc&) {
     FailWith(1, "out of memory");
   } catch (const std::exception& e) {

@@ -8,6 +8,7 @@
 
 #include "io/open_mesh.h"
 #include "io/zip_archive.h"
+#include "tests/support/attribute_values.h"
 #include "tests/support/compress.h"
 #include "tests/support/gltf_maker.h"
 #include "tests/support/read_mesh.h"
@@ -131,6 +132,94 @@ TEST(ThreeMf, PlacesObjectsAndComponentsOfItsBuild) {
   EXPECT_EQ(contents.meshes, 2u);
   EXPECT_EQ(contents.passed_over[0].first, "meshes outside the build");
   EXPECT_EQ(mesh->counts.vertices, 8u);
+}
+
+// One triangle per object, with these attributes of object and triangle.
+std::string Facet(int id, const std::string& object, const std::string& triangle) {
+  return "<object id=\"" + std::to_string(id) + "\" " + object +
+         "><mesh><vertices><vertex x=\"0\" y=\"0\" z=\"0\"/><vertex x=\"1\" y=\"0\" z=\"0\"/>"
+         "<vertex x=\"0\" y=\"1\" z=\"0\"/></vertices><triangles>"
+         "<triangle v1=\"0\" v2=\"1\" v3=\"2\" " +
+         triangle + "/><triangle v1=\"0\" v2=\"2\" v3=\"1\"/></triangles></mesh></object>";
+}
+
+std::string Coloured() {
+  return Make3mf(
+      ModelTag("xmlns:m=\"http://schemas.microsoft.com/3dmanufacturing/material/2015/02\"") +
+      "<resources><basematerials id=\"1\"><base name=\"oak\" displaycolor=\"#804000\"/>"
+      "<base name=\"ash\" displaycolor=\"#10203040\"/></basematerials>"
+      "<m:colorgroup id=\"2\"><m:color color=\"#FF0000\"/><m:color color=\"#00FF00\"/>"
+      "<m:color color=\"#0000FF00\"/></m:colorgroup>"
+      "<m:multiproperties id=\"3\" pids=\"1 2\"><m:multi pindices=\"1 2\"/></m:multiproperties>" +
+      Facet(11, "name=\"left\" pid=\"1\" pindex=\"1\"", "pid=\"2\" p1=\"0\" p2=\"1\" p3=\"2\"") +
+      Facet(12, "", "pid=\"3\" p1=\"0\"") + Facet(13, "pid=\"1\"", "p1=\"0\"") +
+      "</resources><build><item objectid=\"11\" partnumber=\"A-1\"/><item objectid=\"12\"/>"
+      "<item objectid=\"13\" partnumber=\"B\"/>"
+      "<item objectid=\"11\" transform=\"-1 0 0 0 1 0 0 0 1 0 0 0\"/></build></model>");
+}
+
+TEST(ThreeMfAttributes, AreColoursMaterialsObjectsAndItems) {
+  const auto opened = OpenMesh(MemorySource(Coloured(), "a.3mf"));
+  ASSERT_TRUE(opened) << opened.error().message;
+  MeshReader& reader = **opened;
+  EXPECT_EQ(Describe(reader.attributes()),
+            "color (4 x uint8, corner), material (uint32, triangle), object (uint32, triangle), "
+            "item (uint32, instance)");
+  using Names = std::vector<std::string>;
+  EXPECT_EQ(reader.attributes()[1].names, (Names{"oak", "ash"}));
+  EXPECT_EQ(reader.attributes()[2].names, (Names{"left", "object 12", "object 13"}));
+  EXPECT_EQ(reader.attributes()[3].names, (Names{"A-1", "", "B", ""}));
+  // Triangles 0 to 3 are the first object's, placed twice; then two for each of the others.
+  std::vector<SurfacePoint> points;
+  for (std::uint64_t t = 0; t < 8; ++t) points.push_back({t, {0, 0, 1}});
+  const auto color = test::ValuesAt<std::uint8_t>(reader, "color", points);
+  const std::vector<std::uint8_t> expected = {
+      0,    0,    255,  0,
+      0x10, 0x20, 0x30, 0x40,  // A group's third; the object's own material.
+      0,    255,  0,    255,   // Mirrored: the second corner is third now.
+      0x10, 0x20, 0x30, 0x40,  //
+      0,    0,    255,  0,
+      255,  255,  255,  255,  // The layer of colours; nothing at all.
+      0x80, 0x40, 0,    255,
+      255,  255,  255,  255};
+  EXPECT_EQ(color, expected);
+  const std::uint32_t none = UINT32_MAX;
+  EXPECT_EQ(test::ValuesAt<std::uint32_t>(reader, "material", points),
+            (std::vector<std::uint32_t>{none, 1, none, 1, 1, none, 0, none}));
+  EXPECT_EQ(test::ValuesAt<std::uint32_t>(reader, "object", points),
+            (std::vector<std::uint32_t>{0, 0, 0, 0, 1, 1, 2, 2}));
+  EXPECT_EQ(test::ValuesAt<std::uint32_t>(reader, "item", points),
+            (std::vector<std::uint32_t>{0, 0, 3, 3, 1, 1, 2, 2}));
+  EXPECT_EQ(test::ValuesAt<std::uint8_t>(reader, "color", {{0, {0.5, 0.25, 0.25}}}),
+            (std::vector<std::uint8_t>{128, 64, 64, 191}));
+}
+
+TEST(ThreeMfAttributes, OfAPlainPackageAreObjectsAndItems) {
+  const auto reader =
+      OpenMesh(MemorySource(Make3mf(ModelTag() + "<resources>" + Tetrahedron(1) +
+                                    "</resources><build><item objectid=\"1\"/></build></model>"),
+                            "a.3mf"));
+  ASSERT_TRUE(reader) << reader.error().message;
+  EXPECT_EQ(Describe((*reader)->attributes()),
+            "object (uint32, triangle), item (uint32, instance)");
+}
+
+TEST(ThreeMfAttributes, ThatMakeNoSenseAreRefusedWithTheirLine) {
+  const auto with = [](const std::string& resources) {
+    return Make3mf(
+        ModelTag("xmlns:m=\"http://schemas.microsoft.com/3dmanufacturing/material/2015/02\"") +
+        "<resources>\n" + resources + Tetrahedron(1) +
+        "</resources><build><item objectid=\"1\"/></build></model>");
+  };
+  ExpectError(with("<m:colorgroup id=\"2\"><m:color color=\"red\"/></m:colorgroup>"),
+              ErrorCode::kCorruptInput, "line 3: color: found 'red', expected a colour");
+  ExpectError(with("<basematerials id=\"2\"/><m:colorgroup id=\"2\"/>"), ErrorCode::kCorruptInput,
+              "a second group of properties 2");
+  ExpectError(with("<m:multiproperties id=\"2\" pids=\"1 x\"/>"), ErrorCode::kCorruptInput,
+              "expected whole numbers");
+  const auto unknown = Read(with("<m:texture2dgroup id=\"4\" texid=\"5\"/>"));
+  ASSERT_TRUE(unknown) << unknown.error().message;
+  EXPECT_EQ(unknown->info.contents.passed_over[0].first, "groups of textures or composites");
 }
 
 TEST(ThreeMf, FollowsComponentsIntoOtherParts) {

@@ -14,6 +14,7 @@
 
 #include "core/summarize_mesh.h"
 #include "io/open_mesh.h"
+#include "tests/support/attribute_values.h"
 #include "tests/support/read_mesh.h"
 #include "tests/support/temp_folder.h"
 #include "tests/support/test_data.h"
@@ -140,6 +141,114 @@ TEST(Assimp, StartsOverOnRewind) {
   ASSERT_TRUE(first && second);
   EXPECT_EQ(first->triangles, second->triangles);
   EXPECT_EQ(first->counts.triangles, second->counts.triangles);
+}
+
+// COLLADA's `source` of `n` groups of numbers.
+std::string Source(const std::string& id, const std::string& numbers, int n,
+                   const std::string& names) {
+  std::string params;
+  for (const char name : names) {
+    params += std::string("<param name=\"") + name + "\" type=\"float\"/>";
+  }
+  const auto stride = names.size(), count = names.size() * static_cast<std::size_t>(n);
+  return "<source id=\"" + id + "\"><float_array id=\"" + id + "a\" count=\"" +
+         std::to_string(count) + "\">" + numbers + "</float_array><technique_common><accessor " +
+         "source=\"#" + id + "a\" count=\"" + std::to_string(n) + "\" stride=\"" +
+         std::to_string(stride) + "\">" + params + "</accessor></technique_common></source>";
+}
+
+// A square with everything, placed as it is and mirrored in x at twice the size.
+std::string FullCollada() {
+  return "<?xml version=\"1.0\"?><COLLADA xmlns=\"http://www.collada.org/2005/11/COLLADASchema\" "
+         "version=\"1.4.1\"><asset><up_axis>Y_UP</up_axis></asset><library_effects><effect "
+         "id=\"e\">"
+         "<profile_COMMON><technique sid=\"t\"><lambert/></technique></profile_COMMON></effect>"
+         "</library_effects><library_materials><material id=\"m\" name=\"oak\"><instance_effect "
+         "url=\"#e\"/></material></library_materials><library_geometries><geometry id=\"g\" "
+         "name=\"square\"><mesh>" +
+         Source("p", "0 0 0 1 0 0 1 1 0 0 1 0", 4, "XYZ") +
+         Source("n", "0.6 0 0.8 0.6 0 0.8 0.6 0 0.8 0.6 0 0.8", 4, "XYZ") +
+         Source("c", "0 0 0.5 1 0 0.5 1 1 0.5 0 1 0.5", 4, "RGB") +
+         Source("u", "0 0 1 0 1 1 0 1", 4, "ST") + Source("w", "5 0 4 0 4 1 5 1", 4, "ST") +
+         "<vertices id=\"v\"><input semantic=\"POSITION\" source=\"#p\"/></vertices><polylist "
+         "count=\"1\" material=\"slot\"><input semantic=\"VERTEX\" source=\"#v\" offset=\"0\"/>"
+         "<input semantic=\"NORMAL\" source=\"#n\" offset=\"0\"/><input semantic=\"COLOR\" "
+         "source=\"#c\" offset=\"0\"/><input semantic=\"TEXCOORD\" source=\"#u\" offset=\"0\" "
+         "set=\"0\"/><input semantic=\"TEXCOORD\" source=\"#w\" offset=\"0\" set=\"1\"/><vcount>4"
+         "</vcount><p>0 1 2 3</p></polylist></mesh></geometry></library_geometries>"
+         "<library_visual_scenes><visual_scene id=\"s\">" +
+         [] {
+           const std::string geometry =
+               "<instance_geometry url=\"#g\"><bind_material><technique_common>"
+               "<instance_material symbol=\"slot\" target=\"#m\"/></technique_common>"
+               "</bind_material></instance_geometry></node>";
+           return "<node id=\"here\">" + geometry + "<node id=\"there\"><scale>-2 2 2</scale>" +
+                  geometry;
+         }() +
+         "</visual_scene></library_visual_scenes><scene><instance_visual_scene url=\"#s\"/></scene>"
+         "</COLLADA>";
+}
+
+TEST(AssimpAttributes, ReachTheSamplesThroughThePipe) {
+  const auto opened = OpenMesh(MemorySource(FullCollada(), "a.dae"), WithProgram());
+  ASSERT_TRUE(opened) << opened.error().message;
+  MeshReader& reader = **opened;
+  EXPECT_EQ(Describe(reader.attributes()),
+            "color (4 x float32, corner), uv (2 x float32, corner), uv_1 (2 x float32, corner), "
+            "vertex_normal (3 x float32, corner), material (uint32, triangle), mesh (uint32, "
+            "triangle), node (uint32, instance)");
+  TriangleBatch batch(8);
+  ASSERT_EQ(*reader.Read(batch), 4u);
+  std::vector<SurfacePoint> points;
+  std::vector<Vec3> at;
+  for (std::uint64_t t = 0; t < 4; ++t) {
+    points.push_back({t, {0.25, 0.25, 0.5}});
+    at.push_back(batch.corner(t, 0) * 0.25 + batch.corner(t, 1) * 0.25 + batch.corner(t, 2) * 0.5);
+  }
+  const auto color = test::ValuesAt<float>(reader, "color", points),
+             uv = test::ValuesAt<float>(reader, "uv", points),
+             uv1 = test::ValuesAt<float>(reader, "uv_1", points),
+             normal = test::ValuesAt<float>(reader, "vertex_normal", points);
+  const auto node = test::ValuesAt<std::uint32_t>(reader, "node", points),
+             material = test::ValuesAt<std::uint32_t>(reader, "material", points);
+  const auto& node_names = reader.attributes()[test::NumberOf(reader, "node")].names;
+  const auto& names = reader.attributes()[test::NumberOf(reader, "material")].names;
+  // (0.6, 0, 0.8) under a scale of (-2, 2, 2): mirrored in x, as long as it was.
+  for (std::size_t i = 0; i < 4; ++i) {
+    const bool there = i >= 2;
+    const Vec3 p = there ? Vec3{at[i].x / -2, at[i].y / 2, 0} : at[i];
+    EXPECT_NEAR(color[4 * i], p.x, 1e-6);
+    EXPECT_NEAR(color[4 * i + 1], p.y, 1e-6);
+    EXPECT_EQ(color[4 * i + 2], 0.5f);
+    EXPECT_EQ(color[4 * i + 3], 1);
+    EXPECT_NEAR(uv[2 * i], p.x, 1e-6);
+    EXPECT_NEAR(uv1[2 * i], 5 - p.x, 1e-6);
+    EXPECT_NEAR(normal[3 * i], there ? -0.6 : 0.6, 1e-6);
+    EXPECT_NEAR(normal[3 * i + 2], 0.8, 1e-6);
+    ASSERT_LT(node[i], node_names.size());
+    EXPECT_EQ(node_names[node[i]], there ? "there" : "here");
+    ASSERT_LT(material[i], names.size());
+    EXPECT_EQ(names[material[i]], "oak");
+  }
+  // The surface can be read again behind it.
+  ASSERT_TRUE(reader.Rewind());
+  EXPECT_EQ(*reader.Read(batch), 4u);
+}
+
+TEST(AssimpAttributes, OfEachFormatCanBeFetched) {
+  for (const Sample& sample : Samples()) {
+    SCOPED_TRACE(sample.name);
+    const auto reader = OpenMesh(MemorySource(sample.bytes, sample.name), WithProgram());
+    ASSERT_TRUE(reader) << reader.error().message;
+    TriangleBatch batch(8);
+    ASSERT_GE(*(*reader)->Read(batch), 1u);
+    std::vector<SurfacePoint> points;
+    for (std::size_t i = 0; i < batch.size(); ++i) points.push_back({batch.ids()[i], {0, 0, 1}});
+    const auto& names = (*reader)->attributes()[test::NumberOf(**reader, "mesh")].names;
+    for (const std::uint32_t id : test::ValuesAt<std::uint32_t>(**reader, "mesh", points)) {
+      EXPECT_LT(id, names.size());
+    }
+  }
 }
 
 TEST(Assimp, RefusesWhatItDoesNotKnowEither) {

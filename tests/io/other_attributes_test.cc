@@ -167,6 +167,41 @@ TEST(OffAttributes, ReachTheSamples) {
   }
 }
 
+TEST(OffAttributes, OfFacesReachTheSamples) {
+  // A square of two triangles behind a quad; the third face has no colour.
+  const std::string vertices = "7 3 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n2 0 0\n2 1 0\n3 0 0\n";
+  const std::string faces =
+      "OFF\n" + vertices + "4 0 1 2 3  255 128 0 7 # a comment\n3 1 4 2 1 2 3 4\n3 4 6 5\n";
+  EXPECT_EQ(AttributesOf(faces, "a.off"), "color (4 x uint8, triangle)");
+  for (const bool packed : {false, true}) {
+    const auto result = Sample(packed ? test::Gzip(faces) : faces, "a.off", {"all"});
+    ASSERT_TRUE(result) << result.error().message;
+    const auto color = Column<std::uint8_t>(*result, "color");
+    const std::vector<std::vector<std::uint8_t>> expected = {
+        {255, 128, 0, 7}, {255, 128, 0, 7}, {1, 2, 3, 4}, {0, 0, 0, 0}};
+    for (std::size_t i = 0; i < result->samples.size(); ++i) {
+      const std::vector<std::uint8_t> found(color.begin() + static_cast<std::ptrdiff_t>(4 * i),
+                                            color.begin() + static_cast<std::ptrdiff_t>(4 * i + 4));
+      EXPECT_EQ(found, expected[result->samples.triangle[i]]);
+    }
+  }
+}
+
+TEST(OffAttributes, OfFacesAndVerticesAreTold) {
+  const auto with = [](const std::string& head, const std::string& tail) {
+    return AttributesOf(
+        head + "\n3 1 0\n0 0 0 1 0 0\n1 0 0 0 1 0\n0 1 0 0 0 1\n3 0 1 2 " + tail + "\n", "a.off");
+  };
+  EXPECT_EQ(with("COFF", "0.5 0.5 0.25"),
+            "color (3 x uint8, vertex), face_color (3 x float32, triangle)");
+  EXPECT_EQ(with("OFF", "17"), "color_index (int32, triangle)");
+  EXPECT_EQ(with("OFF", "17 18"), "none");
+  EXPECT_EQ(with("OFF", "# 1 2 3"), "none");
+  const auto index = Sample("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 17\n", "a.off", {"all"});
+  ASSERT_TRUE(index) << index.error().message;
+  EXPECT_EQ(Column<std::int32_t>(*index, "color_index")[0], 17);
+}
+
 // Facets side by side, with these attribute bytes.
 std::string MakeStl(const std::string& head, const std::vector<std::uint16_t>& attributes) {
   std::string file = head;
