@@ -11,13 +11,14 @@
 namespace strata::io {
 namespace {
 
-constexpr std::array<std::pair<std::string_view, SampleFormat>, 6> kFormats = {
+constexpr std::array<std::pair<std::string_view, SampleFormat>, 7> kFormats = {
     {{"drc", SampleFormat::kDraco},
      {"ply", SampleFormat::kPly},
      {"xyz", SampleFormat::kXyz},
      {"npz", SampleFormat::kNpz},
      {"csv", SampleFormat::kCsv},
-     {"glb", SampleFormat::kGlb}}};
+     {"glb", SampleFormat::kGlb},
+     {"vdb", SampleFormat::kVdb}}};
 
 Result<void> CheckHeader(const std::string& path, const SampleHeader& header) {
   const auto fail = [&](ErrorCode code, const char* what) {
@@ -79,6 +80,8 @@ Result<std::unique_ptr<SampleWriter>> OpenSampleWriter(const std::string& path, 
       return MakeCsvWriter(std::move(*file), header);
     case SampleFormat::kGlb:
       return MakeGlbWriter(std::move(*file), header, resources);
+    case SampleFormat::kVdb:
+      return MakeVdbWriter(std::move(*file), header, resources);
     case SampleFormat::kNpz:
       return MakeNpzWriter(std::move(*file), header, resources);
   }

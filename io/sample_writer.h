@@ -18,9 +18,9 @@ namespace strata::io {
 inline constexpr std::uint64_t kMostTileSamples = 0x7FFF'FFFF / 4;
 inline constexpr std::uint64_t kDefaultTileSamples = 4'000'000;
 
-enum class SampleFormat { kDraco, kPly, kXyz, kNpz, kCsv, kGlb };
+enum class SampleFormat { kDraco, kPly, kXyz, kNpz, kCsv, kGlb, kVdb };
 
-/// "drc", "ply", "xyz", "npz", "csv" or "glb".
+/// "drc", "ply", "xyz", "npz", "csv", "glb" or "vdb".
 std::optional<SampleFormat> SampleFormatFromName(std::string_view name);
 /// From the suffix of `path`, case ignored.
 std::optional<SampleFormat> SampleFormatFromPath(std::string_view path);
@@ -40,13 +40,18 @@ struct WriterResources {
   /// Where such an output is a stream or an open file, which cannot be a folder: the folder as a
   /// zip of stored members, the manifest last, instead of an error.
   bool tiles_in_zip = false;
+  /// The program strata-vdb, which a `vdb` output needs: OpenVDB's library is its alone.
+  std::string vdb_program;
 };
+
+/// Whether a `vdb` can be written with it. Errors: kNotFound.
+Result<void> CheckVdbProgram(const std::string& program);
 
 /// Opens `path` for writing ("-" is standard output). The output appears under its name, whole,
 /// when Finish returns; until then a temporary file in the same folder holds it. PLY, XYZ and CSV
-/// stream in O(1) memory; NPZ, GLB and Draco need the resources. Errors: kEmptySurface,
-/// kInvalidArgument, kIo; kOverBudget when the format or the memory cannot hold header.count
-/// samples.
+/// stream in O(1) memory; NPZ, GLB, VDB and Draco need the resources. Errors: kEmptySurface,
+/// kInvalidArgument, kIo; kNotFound (CheckVdbProgram); kOverBudget when the format or the memory
+/// cannot hold header.count samples.
 Result<std::unique_ptr<SampleWriter>> OpenSampleWriter(const std::string& path, SampleFormat format,
                                                        const SampleHeader& header,
                                                        const WriterResources& resources = {});

@@ -24,6 +24,9 @@ target_sources(strata_io PRIVATE
   ${CMAKE_CURRENT_LIST_DIR}/tile_scatter.cc
   ${CMAKE_CURRENT_LIST_DIR}/tile_writer.cc
   ${CMAKE_CURRENT_LIST_DIR}/tileset_json.cc
+  ${CMAKE_CURRENT_LIST_DIR}/vdb_child.cc
+  ${CMAKE_CURRENT_LIST_DIR}/vdb_columns.cc
+  ${CMAKE_CURRENT_LIST_DIR}/vdb_writer.cc
   ${CMAKE_CURRENT_LIST_DIR}/xyz_writer.cc)
 target_link_libraries(strata_io PRIVATE draco::draco LibArchive::LibArchive
   nlohmann_json::nlohmann_json OpenSSL::Crypto PNG::PNG)

@@ -255,7 +255,7 @@ Result<Integrator> ParseIntegrator(std::string_view name) {
 Result<io::SampleFormat> ParseFormat(std::string_view name) {
   if (const auto format = io::SampleFormatFromName(name)) return *format;
   return Refuse("--format: found '" + std::string(name) +
-                "', expected drc, ply, xyz, npz, csv or glb (default: from OUTPUT's suffix)");
+                "', expected drc, ply, xyz, npz, csv, glb or vdb (default: from OUTPUT's suffix)");
 }
 
 Result<io::SampleFormat> FormatOfOutput(const std::string& output) {
@@ -263,7 +263,7 @@ Result<io::SampleFormat> FormatOfOutput(const std::string& output) {
   if (const auto format = io::SampleFormatFromPath(output)) return *format;
   return Refuse(
       "-o: found '" + output +
-      "', expected a name that ends in .drc, .ply, .xyz, .npz, .csv or .glb, or --format");
+      "', expected a name that ends in .drc, .ply, .xyz, .npz, .csv, .glb or .vdb, or --format");
 }
 
 void ConvertWhere(const RawSample& raw, Converter& convert, LatticeSpec& lattice) {

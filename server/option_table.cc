@@ -58,9 +58,10 @@ constexpr std::array<OptionRow, 22> kOptionRows = {{
      "The file to write; - is standard output. Needed. It appears whole\n"
      "or not at all.",
      &RawSample::output},
-    {"--format", "drc|ply|xyz|npz|csv|glb", kWhat,
-     "drc (Draco), ply (binary), xyz (text), npz (NumPy), csv or glb\n"
-     "(binary glTF). Default: from OUTPUT's suffix.",
+    {"--format", "drc|ply|xyz|npz|csv|glb|vdb", kWhat,
+     "drc (Draco), ply (binary), xyz (text), npz (NumPy), csv, glb\n"
+     "(binary glTF) or vdb (OpenVDB points). Default: from OUTPUT's\n"
+     "suffix.",
      &RawSample::format},
     {"--attributes", "LIST", kWhat,
      "What stands beside each position, with commas between: any of\n"
@@ -73,7 +74,7 @@ constexpr std::array<OptionRow, 22> kOptionRows = {{
      "of length one. Default face.",
      &RawSample::normals},
     {"--position-error", "F", kWhat,
-     "How far drc may move a sample, as a fraction of the edge.\n"
+     "How far drc and vdb may move a sample, as a fraction of the edge.\n"
      "1e-9 to 1; default 0.01.",
      &RawSample::position_error},
     {"--tile-samples", "N", kWhat,

@@ -52,15 +52,17 @@ Result<std::string> JobKey(const SampleCommand& command, const Share& share,
 namespace {
 
 // Beside this program where both were built, else where it is installed.
-std::string AssimpProgram() {
+std::string HelperProgram(const char* name) {
   std::error_code failed;
   const auto folder = std::filesystem::read_symlink("/proc/self/exe", failed).parent_path();
-  const auto beside = folder / "strata-assimp";
+  const auto beside = folder / name;
   if (std::filesystem::exists(beside, failed)) return beside.string();
-  return (folder.parent_path() / "libexec/strata/strata-assimp").string();
+  return (folder.parent_path() / "libexec/strata" / name).string();
 }
 
 }  // namespace
+
+std::string VdbProgram() { return HelperProgram("strata-vdb"); }
 
 io::OpenOptions OpenWithin(RunContext& context, bool assimp) {
   io::OpenOptions open;
@@ -69,7 +71,7 @@ io::OpenOptions OpenWithin(RunContext& context, bool assimp) {
   open.scratch = context.scratch();
   open.context = &context;
   if (assimp) {
-    open.assimp = AssimpProgram();
+    open.assimp = HelperProgram("strata-assimp");
   }
   return open;
 }

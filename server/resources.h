@@ -28,4 +28,7 @@ Result<std::string> JobKey(const SampleCommand& command, const Share& share,
 /// `assimp`, what is of another format goes to the program strata-assimp beside this one.
 io::OpenOptions OpenWithin(RunContext& context, bool assimp = false);
 
+/// The program strata-vdb beside this one, or where it is installed; it may be missing.
+std::string VdbProgram();
+
 }  // namespace strata::server

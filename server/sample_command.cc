@@ -217,6 +217,9 @@ class Job {
   Result<void> Prepare(const std::vector<Place>& places) {
     if (auto checked = RefuseSameFiles(places); !checked) return checked;
     if (auto checked = CheckWritable(places, command_.format); !checked) return checked;
+    if (command_.format == io::SampleFormat::kVdb) {
+      if (auto found = io::CheckVdbProgram(VdbProgram()); !found) return found;
+    }
     if (auto chosen = ChooseVectorTarget(command_.simd); !chosen) return chosen;
     auto scratch = OpenScratch(command_.scratch);
     if (!scratch) return Forward(scratch);

@@ -2,11 +2,13 @@
 
 #include "core/parcels.h"
 #include "server/provenance.h"
+#include "server/resources.h"
 
 namespace strata::server {
 
 SampleOptions OptionsForOutput(const SampleCommand& command) {
   SampleOptions options = command.options;
+  if (command.format == io::SampleFormat::kVdb) options.attributes |= kCell;  // Its voxels.
   if (command.format == io::SampleFormat::kDraco) {  // It may become a folder of tiles.
     options.attributes |= kCell;
     options.parcel_cells = CellsPerParcel(command.tile_samples, options.min_distance);
@@ -41,6 +43,7 @@ io::WriterResources ResourcesOf(const SampleCommand& command, RunContext& contex
   resources.tiles_in_zip = command.tiles_in_zip;
   resources.memory = &context.memory();
   resources.scratch = context.scratch();
+  if (command.format == io::SampleFormat::kVdb) resources.vdb_program = VdbProgram();
   return resources;
 }
 

@@ -13,13 +13,14 @@
 namespace strata::server {
 namespace {
 
-constexpr std::array<FormatName, 6> kFormats = {{
+constexpr std::array<FormatName, 7> kFormats = {{
     {io::SampleFormat::kDraco, "drc", "model/vnd.draco"},
     {io::SampleFormat::kPly, "ply", "model/vnd.ply"},
     {io::SampleFormat::kXyz, "xyz", "text/plain"},
     {io::SampleFormat::kNpz, "npz", "application/x-npz"},
     {io::SampleFormat::kCsv, "csv", "text/csv"},
     {io::SampleFormat::kGlb, "glb", "model/gltf-binary"},
+    {io::SampleFormat::kVdb, "vdb", "model/vnd.openvdb"},
 }};
 
 /// The shortest text that reads back as the same number.
