@@ -3,9 +3,11 @@
 # is: the programs, the shared libraries that they load, a shell with a few tools (busybox) for the schedulers'
 # templates, certificates of authorities, the licences, and for scanners the records of the packages
 # that all this is from.
-# usage: assemble.sh ROOT
+# usage: assemble.sh ROOT [VDB]    With VDB (not empty) what writes vdb, too, and OpenVDB's library.
 set -eu
 root=$1
+without=/strata-vdb$
+[ -z "${2:-}" ] || without='^$'
 tools='[ cat cp date df du echo env expr false head hostname id kill ls mkdir mv nproc printf ps pwd rm rmdir
   sed seq sh sha256sum sleep sort stat tail tee test touch tr true uname wc'
 
@@ -20,7 +22,7 @@ keep() {  # What is at the name, under the same name.
   cp -L --preserve=mode,timestamps "$1" "$root$folder/$(basename "$1")"
 }
 
-programs=$(dpkg-query -L strata | grep '^/usr/bin/\|^/usr/libexec/strata/.' || true)
+programs=$(dpkg-query -L strata | grep '^/usr/bin/\|^/usr/libexec/strata/.' | grep -v "$without" || true)
 libraries=$(for program in $programs; do ldd "$program"; done |
   sed -n 's/^.*=> \(\/[^ ]*\) .*$/\1/p; s/^\t\(\/[^ ]*\) .*$/\1/p' | sort -u)
 for file in $programs $libraries /bin/busybox /etc/ssl/certs/ca-certificates.crt; do

@@ -31,8 +31,8 @@ class ChildProcess {
   int Start(const std::string& program, std::vector<std::string> arguments,
             std::span<const Opening> openings);
 
-  /// Waits for its end and says how it came: "ended too early, with status 3", "was killed by signal
-  /// 9 (Killed)". Precondition: started, and not yet waited for.
+  /// Waits for its end and says how it came: "ended too early, with status 3", "was killed by
+  /// signal 9 (Killed)". Precondition: started, and not yet waited for.
   std::string WaitForEnd();
 
  private:

@@ -36,10 +36,10 @@ Result<std::unique_ptr<SampleWriter>> MakeGlbWriter(std::unique_ptr<AtomicFile> 
                                                     const WriterResources& resources);
 /// An OpenVDB grid of points, made by resources.vdb_program; docs/sample-formats.md. No position
 /// is read back further than header.position_error from the sample's. Memory: an eighth of what is
-/// left of the account (256 MiB without a bound; all samples without scratch space) until Finish, and
-/// in Finish what is left of it, the other process's included. Disk: the samples, and the output.
-/// Errors: kNotFound without the program; kOverBudget when the grid does not fit memory, or
-/// header.position_error is finer than float32 offsets from a cell's middle.
+/// left of the account (256 MiB without a bound; all samples without scratch space) until Finish,
+/// and in Finish what is left of it, the other process's included. Disk: the samples, and the
+/// output. Errors: kUnsupported without the program; kOverBudget when the grid does not fit memory,
+/// or header.position_error is finer than float32 offsets from a cell's middle.
 Result<std::unique_ptr<SampleWriter>> MakeVdbWriter(std::unique_ptr<AtomicFile> file,
                                                     const SampleHeader& header,
                                                     const WriterResources& resources);

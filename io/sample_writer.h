@@ -44,13 +44,13 @@ struct WriterResources {
   std::string vdb_program;
 };
 
-/// Whether a `vdb` can be written with it. Errors: kNotFound.
+/// Whether a `vdb` can be written with it. Errors: kUnsupported.
 Result<void> CheckVdbProgram(const std::string& program);
 
 /// Opens `path` for writing ("-" is standard output). The output appears under its name, whole,
 /// when Finish returns; until then a temporary file in the same folder holds it. PLY, XYZ and CSV
 /// stream in O(1) memory; NPZ, GLB, VDB and Draco need the resources. Errors: kEmptySurface,
-/// kInvalidArgument, kIo; kNotFound (CheckVdbProgram); kOverBudget when the format or the memory
+/// kInvalidArgument, kIo; kUnsupported (CheckVdbProgram); kOverBudget when the format or the memory
 /// cannot hold header.count samples.
 Result<std::unique_ptr<SampleWriter>> OpenSampleWriter(const std::string& path, SampleFormat format,
                                                        const SampleHeader& header,

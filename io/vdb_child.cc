@@ -77,8 +77,8 @@ Result<void> VdbChild::Flush() {
     const auto ready = Wait(POLLOUT);
     if (!ready) return Forward(ready);
     if (!*ready) continue;
-    const ssize_t n = send(socket_.get(), buffer_.data() + at, buffer_.size() - at,
-                           MSG_NOSIGNAL | MSG_DONTWAIT);
+    const ssize_t n =
+        send(socket_.get(), buffer_.data() + at, buffer_.size() - at, MSG_NOSIGNAL | MSG_DONTWAIT);
     if (n < 0 && (errno == EINTR || errno == EAGAIN)) continue;
     // The child left before its time, and may have said why.
     if (n < 0 && (errno == EPIPE || errno == ECONNRESET)) {
@@ -122,14 +122,14 @@ tl::unexpected<Error> VdbChild::Refused(const VdbAnswer& answer, const std::stri
   switch (answer.kind) {
     case VdbAnswer::kOverMemory: {
       const std::string need = answer.number == 0 ? "more" : Megabytes(answer.number);
-      return Fail(ErrorCode::kOverBudget,
-                  name_ + ": OpenVDB's grid of " + std::to_string(points_) + " samples needs " +
-                      need + ", of the memory budget " + Megabytes(memory_bytes_) +
-                      " are left for it; ply and npz need little");
+      return Fail(ErrorCode::kOverBudget, name_ + ": OpenVDB's grid of " + std::to_string(points_) +
+                                              " samples needs " + need + ", of the memory budget " +
+                                              Megabytes(memory_bytes_) +
+                                              " are left for it; ply and npz need little");
     }
     case VdbAnswer::kDisk:
       return Fail(ErrorCode::kIo,
-                  disk_ + ": cannot write: " +
+                  "scratch space " + disk_ + ": " +
                       std::generic_category().message(static_cast<int>(answer.number)));
     default:
       return Fail(ErrorCode::kInternal, name_ + ": the program that writes it: " + text);

@@ -145,11 +145,12 @@ VdbColumns::VdbColumns(const SampleHeader& header) {
 
 std::string VdbColumns::NameFor(const std::string& wanted) const {
   const auto taken = [this](const std::string& name) {
-    return name == "P" || std::ranges::find(attributes_, name, &VdbAttribute::name) !=
-                              attributes_.end();
+    return name == "P" ||
+           std::ranges::find(attributes_, name, &VdbAttribute::name) != attributes_.end();
   };
   std::string name = wanted;
-  std::ranges::replace(name, '-', '_');  // OpenVDB's names have none; all else is as FixNames left it.
+  std::ranges::replace(name, '-',
+                       '_');  // OpenVDB's names have none; all else is as FixNames left it.
   if (taken(name)) name = "mesh_" + name;
   const std::string stem = name;
   for (int k = 2; taken(name); ++k) name = stem + "_" + std::to_string(k);

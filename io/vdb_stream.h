@@ -1,5 +1,5 @@
-// What the writer of vdb files sends to strata-vdb, and what that answers. Both are of one build and
-// on one machine: numbers are in its byte order.
+// What the writer of vdb files sends to strata-vdb, and what that answers. Both are of one build
+// and on one machine: numbers are in its byte order.
 #pragma once
 
 #include <algorithm>

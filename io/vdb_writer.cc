@@ -77,8 +77,8 @@ Result<VdbCodec> ChooseCodec(const SampleHeader& header, const std::string& name
                   Text(1.01 * finest / header.edge) + " (ply, xyz and npz are exact)");
 }
 
-// The voxel of each sample, and where in it: the cell that drew the sample, or where it lies outside
-// of that (subdivide) the cell in which it lies.
+// The voxel of each sample, and where in it: the cell that drew the sample, or where it lies
+// outside of that (subdivide) the cell in which it lies.
 class VoxelPlaces {
  public:
   explicit VoxelPlaces(const SampleHeader& header)
@@ -161,8 +161,9 @@ class LeafNumbers {
  private:
   static tl::unexpected<Error> TooWide(const std::string& name) {
     return Fail(ErrorCode::kOverBudget,
-                name + ": the samples lie further apart than a vdb is written for: 2^64 leaves of "
-                       "8^3 cells; use ply, npz or drc");
+                name +
+                    ": the samples lie further apart than a vdb is written for: 2^64 leaves of "
+                    "8^3 cells; use ply, npz or drc");
   }
   std::array<std::int64_t, 3> first_{};
   std::array<int, 3> bits_{};
@@ -170,7 +171,8 @@ class LeafNumbers {
 
 // OpenVDB draws one at random; this one depends on what the file holds.
 std::string UuidFor(const SampleHeader& header, const VdbHead& head) {
-  std::string text = std::to_string(header.count) + " " + std::to_string(static_cast<int>(head.codec));
+  std::string text =
+      std::to_string(header.count) + " " + std::to_string(static_cast<int>(head.codec));
   for (const auto& [key, value] : head.metadata) text += "\n" + key + " " + value;
   std::string hex = Sha256Hex(text).substr(0, 32);
   if (hex.size() != 32) hex.assign(32, '0');
@@ -180,8 +182,8 @@ std::string UuidFor(const SampleHeader& header, const VdbHead& head) {
   return hex;
 }
 
-// Samples are sorted by leaf on their way; strata-vdb makes the grid and fills a scratch file, which
-// then becomes the output.
+// Samples are sorted by leaf on their way; strata-vdb makes the grid and fills a scratch file,
+// which then becomes the output.
 class VdbWriter final : public FileWriter {
  public:
   VdbWriter(std::unique_ptr<AtomicFile> file, const SampleHeader& header,
@@ -285,7 +287,7 @@ class VdbWriter final : public FileWriter {
     VdbHead head;
     if (resources_.memory != nullptr && resources_.memory->limited()) {
       const std::uint64_t left = std::max(resources_.memory->left(), 2 * kProgramBytes);
-      auto share = resources_.memory->Take(left, name() + ": OpenVDB's grid");
+      auto share = resources_.memory->Take(left, name() + ": OpenVDB's nodes");
       if (!share) return Forward(share);
       grid_share_ = std::move(*share);
       head.memory_bytes = left - kProgramBytes;
@@ -346,7 +348,7 @@ class VdbWriter final : public FileWriter {
 
 Result<void> CheckVdbProgram(const std::string& program) {
   if (!program.empty() && access(program.c_str(), X_OK) == 0) return {};
-  return Fail(ErrorCode::kNotFound,
+  return Fail(ErrorCode::kUnsupported,
               "vdb needs the program strata-vdb, " +
                   (program.empty() ? "which nobody named" : "which is not there: " + program));
 }

@@ -23,11 +23,11 @@ LAYERS = {
 # Library, by how its headers begin -> the layers that may include it.
 LIBRARIES = {
     'tl/': {'core', 'io', 'server'},
-    'tbb/': {'core', 'io'},
+    'tbb/': {'core', 'io', 'server'},
     'oneapi/': {'core', 'io'},
     'hwy/': {'core'},
     'Random123/': {'core'},
-    'openvdb/': {'core'},
+    'openvdb/': {'core', 'server'},
     'draco/': {'io'},
     'expat.h': {'io'},
     'assimp/': {'server'},
@@ -53,11 +53,13 @@ LIBRARIES = {
     'boost/': {'server'},
 }
 ONLY_IN_SOURCES = {'curl/', 'draco/', 'openvdb/', 'pugixml.hpp'}  # Never in a header, where it would spread.
-ONE_FILE = {'openvdb/'}  # In one source file of the whole tree.
+ONE_FILE = {'openvdb/'}  # In one source file of each layer.
 # In this folder alone.
 ONE_FOLDER = {
     'sqlite3.h': 'server/store', 'libpq-fe.h': 'server/store', 'curl/': 'server/remote',
     'pugixml.hpp': 'server/remote'}
+# In a layer that may use it, in this folder alone: the program that writes vdb (ADR 25).
+FOLDER_IN_LAYER = {('server', 'openvdb/'): 'server/vdb', ('server', 'tbb/'): 'server/vdb'}
 # The stores serve every transport, so they know none, and no wire format.
 STORE = 'server/store'
 STORE_MAY_INCLUDE = ('core/', 'io/', 'server/store/')
@@ -107,6 +109,9 @@ def folder_fault(folder, target, quoted):
     for prefix, place in ONE_FOLDER.items():
         if target.startswith(prefix) and folder != place:
             return f'{prefix} belongs to {place}/'
+    for (layer, prefix), place in FOLDER_IN_LAYER.items():
+        if folder.split('/')[0] == layer and target.startswith(prefix) and folder != place:
+            return f'{prefix} belongs to {place}/ in {layer}/'
     if folder != STORE:
         return None
     if quoted and not target.startswith(STORE_MAY_INCLUDE):
@@ -126,9 +131,9 @@ def violations(root):
             found.append(f'{place}: {problem}')
         for prefix in ONE_FILE:
             if target.startswith(prefix):
-                users.setdefault(prefix, {}).setdefault(path, place)
-    for prefix, places in users.items():
-        found += [f'{place}: {prefix} may stand in one file only'
+                users.setdefault((prefix, layer), {}).setdefault(path, place)
+    for (prefix, _), places in users.items():
+        found += [f'{place}: {prefix} may stand in one file of a layer only'
                   for place in list(places.values())[1:]]
     return found
 
@@ -139,6 +144,7 @@ def self_test():
         'core/b.cc': '#include <openvdb/openvdb.h>\n#include <tbb/task_arena.h>\n',
         'core/scratch.cc': '#include <unistd.h>\n',
         'io/a.cc': '#include <fcntl.h>\n#include <draco/a.h>\n#include "core/a.h"\n',
+        'server/vdb/a.cc': '#include <openvdb/openvdb.h>\n#include <tbb/global_control.h>\n',
         'server/a.cc': '#include <CLI/App.hpp>\n#include "io/a.h"\n#include <sys/stat.h>\n'
                        '#include "strata/v1/a.pb.h"\n',
     }
@@ -156,6 +162,9 @@ def self_test():
         'io/tests.cc': '#include "tests/support/helper.h"\n',
         'server/mesh.cc': '#include <draco/mesh/mesh.h>\n',
         'proto/up.h': '#include "server/a.h"\n',
+        'server/grid.cc': '#include <openvdb/openvdb.h>\n',
+        'server/threads.cc': '#include <tbb/parallel_for.h>\n',
+        'server/vdb/b.cc': '#include <openvdb/points/PointDataGrid.h>\n',
         'server/rows.cc': '#include <sqlite3.h>\n',
         'server/lines.cc': '#include <libpq-fe.h>\n',
         'server/fetch.cc': '#include <curl/curl.h>\n',

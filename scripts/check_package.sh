@@ -71,9 +71,12 @@ files >"$folder/before"
 step "strata: install, sample, look at the manual's files"
 inside 'apt-get -q -y install --no-install-recommends /strata/strata_*.deb'
 inside 'cd /strata && strata --version && strata info spot.obj &&
-  strata sample spot.obj -o spot.ply --resolution 64 --quiet'
-build/package/server/strata sample models/spot.obj -o "$folder/here.ply" --resolution 64 --quiet
-cmp "$folder/here.ply" "$root/strata/spot.ply"
+  strata sample spot.obj -o spot.ply --resolution 64 --quiet &&
+  strata sample spot.obj -o spot.vdb --resolution 64 --quiet'
+for format in ply vdb; do
+  build/package/server/strata sample models/spot.obj -o "$folder/here.$format" --resolution 64 --quiet
+  cmp "$folder/here.$format" "$root/strata/spot.$format"
+done
 for page in strata strata-sample strata-serve; do
   gzip -t "$root/usr/share/man/man1/$page.1.gz" 2>/dev/null || echo "note: $page(1) is left out by the chroot's dpkg"
 done

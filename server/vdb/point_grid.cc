@@ -74,7 +74,7 @@ class FileBuffer : public std::streambuf {
     const std::uint64_t here = at_ + static_cast<std::uint64_t>(pptr() - pbase());
     if (from == std::ios_base::cur && offset == 0) return static_cast<off_type>(here);
     Flush();
-    const std::uint64_t base = from == std::ios_base::beg ? 0
+    const std::uint64_t base = from == std::ios_base::beg   ? 0
                                : from == std::ios_base::cur ? here
                                                             : size_;
     at_ = base + static_cast<std::uint64_t>(offset);
@@ -104,8 +104,8 @@ void ReplaceTag(int descriptor, const std::string& drawn, const std::string& our
   constexpr off_t kAt = 8 + 3 * 4 + 1;
   std::string found(drawn.size(), '\0');
   const auto size = static_cast<ssize_t>(drawn.size());
-  if (ours.size() != drawn.size() ||
-      pread(descriptor, found.data(), found.size(), kAt) != size || found != drawn) {
+  if (ours.size() != drawn.size() || pread(descriptor, found.data(), found.size(), kAt) != size ||
+      found != drawn) {
     throw std::runtime_error("the file's tag is not where OpenVDB writes it");
   }
   if (pwrite(descriptor, ours.data(), ours.size(), kAt) != size) throw DiskError(errno);
@@ -218,9 +218,8 @@ openvdb::NamePair PositionType(VdbCodec codec) {
 Descriptor::Ptr DescriptorOf(const VdbHead& head) {
   Descriptor::Ptr descriptor = Descriptor::create(PositionType(head.codec));
   for (const VdbAttribute& attribute : head.attributes) {
-    const auto type = WithType(attribute.type, [&](auto zero) {
-      return TypeOf<decltype(zero)>(attribute.vector);
-    });
+    const auto type = WithType(attribute.type,
+                               [&](auto zero) { return TypeOf<decltype(zero)>(attribute.vector); });
     descriptor = descriptor->duplicateAppend(attribute.name, type);
   }
   return descriptor;
@@ -269,11 +268,7 @@ class PointGrid::Leaves {
     auto grid = points::PointDataGrid::create(tree_);
     grid->setName("points");
     grid->setCreator(head_.creator);
-    const auto& at = head_.first_voxel;
-    grid->setTransform(openvdb::math::Transform::Ptr(
-        new openvdb::math::Transform(openvdb::math::MapBase::Ptr(
-            new openvdb::math::UniformScaleTranslateMap(
-                head_.edge, openvdb::Vec3d(at[0], at[1], at[2]))))));
+    grid->setTransform(NewTransform());
     for (const auto& [key, text] : head_.metadata) {
       grid->insertMeta(key, openvdb::StringMetadata(text));
     }
@@ -289,6 +284,15 @@ class PointGrid::Leaves {
   }
 
  private:
+  // To the bit: a transform made of a map goes by way of a matrix, and loses the last one.
+  openvdb::math::Transform::Ptr NewTransform() const {
+    auto transform = std::make_shared<openvdb::math::Transform>();
+    transform->preScale(head_.edge);
+    const auto& at = head_.first_voxel;
+    transform->postTranslate(openvdb::Vec3d(at[0], at[1], at[2]));
+    return transform;
+  }
+
   // Makes a leaf of the points that wait.
   void Close() {
     Count();
@@ -342,8 +346,9 @@ class PointGrid::Leaves {
 
   // What the points that wait take as a leaf, and the nodes above it.
   void Count() {
-    constexpr std::uint64_t kArray = sizeof(TypedAttributeArray<openvdb::Vec3d>) + 2 * kAllocation +
-                                     sizeof(AttributeArray::Ptr);
+    // The object, its values, and the count of its owners.
+    constexpr std::uint64_t kArray = sizeof(TypedAttributeArray<openvdb::Vec3d>) + 24 +
+                                     3 * kAllocation + sizeof(AttributeArray::Ptr);
     const std::uint64_t n = waiting_.size() / row_bytes_;
     bytes_ += sizeof(Leaf) + kVoxels * sizeof(Leaf::ValueType) + sizeof(points::AttributeSet) +
               4 * kAllocation + (head_.attributes.size() + 1) * kArray +

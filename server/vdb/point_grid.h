@@ -27,13 +27,13 @@ class PointGrid {
   void Add(const char* row);
   /// After the last point.
   void End();
-  /// What the grid takes, or would take: when that is more than head.memory_bytes it is given up, and
-  /// further points are only counted.
+  /// What the grid takes, or would take: when that is more than head.memory_bytes it is given up,
+  /// and further points are only counted.
   std::uint64_t bytes() const;
   bool over_memory() const;
 
-  /// After End, unless over_memory(): writes the grid to `descriptor`, from byte 0. The bytes depend
-  /// on head and points alone. Returns how many. Throws DiskError, and what OpenVDB throws.
+  /// After End, unless over_memory(): writes the grid to `descriptor`, from byte 0. The bytes
+  /// depend on head and points alone. Returns how many. Throws DiskError, and what OpenVDB throws.
   std::uint64_t Write(int descriptor);
 
  private:

@@ -1,5 +1,5 @@
-// strata-vdb: takes samples from standard input as io/vdb_stream.h says, makes OpenVDB's grid of them
-// and writes it to descriptor 3.
+// strata-vdb: takes samples from standard input as io/vdb_stream.h says, makes OpenVDB's grid of
+// them and writes it to descriptor 3.
 //
 // A program of its own because loading OpenVDB's library takes longer than sampling a small mesh
 // (docs/adr/0005, docs/adr/0025). What happens to it is the caller's to notice.

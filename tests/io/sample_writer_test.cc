@@ -24,7 +24,11 @@ using test::TempFolder;
 using test::WriteSamples;
 
 const SampleFormat kFormats[] = {SampleFormat::kDraco, SampleFormat::kPly, SampleFormat::kXyz,
-                                 SampleFormat::kNpz,   SampleFormat::kCsv, SampleFormat::kGlb};
+                                 SampleFormat::kNpz,   SampleFormat::kCsv, SampleFormat::kGlb,
+#ifdef STRATA_VDB_PROGRAM
+                                 SampleFormat::kVdb
+#endif
+};
 
 // Numbers by column name, and the comments before them.
 struct Table {
@@ -134,6 +138,7 @@ SampleColumns HardSamples() {
 TEST(SampleFormat, IsToldFromNamesAndSuffixes) {
   EXPECT_EQ(SampleFormatFromName("drc"), SampleFormat::kDraco);
   EXPECT_EQ(SampleFormatFromName("npz"), SampleFormat::kNpz);
+  EXPECT_EQ(SampleFormatFromName("vdb"), SampleFormat::kVdb);
   EXPECT_EQ(SampleFormatFromName("PLY"), std::nullopt);
   EXPECT_EQ(SampleFormatFromPath("a/b.c/model.PLY"), SampleFormat::kPly);
   EXPECT_EQ(SampleFormatFromPath("model.xyz"), SampleFormat::kXyz);
@@ -206,7 +211,7 @@ TEST(XyzWriter, HasRoomForTheLongestLine) {
 }
 
 std::string NameOf(const ::testing::TestParamInfo<SampleFormat>& tested) {
-  static constexpr const char* kNames[] = {"Drc", "Ply", "Xyz", "Npz", "Csv", "Glb"};
+  static constexpr const char* kNames[] = {"Drc", "Ply", "Xyz", "Npz", "Csv", "Glb", "Vdb"};
   return kNames[static_cast<std::size_t>(tested.param)];
 }
 
@@ -273,7 +278,8 @@ TEST_P(EveryFormat, RefusesColumnsThatContradictTheHeader) {
   TempFolder folder;
   SampleColumns samples = RandomSamples(10, 3);
   samples.area.pop_back();
-  auto writer = OpenSampleWriter(folder / "a", GetParam(), HeaderFor(samples, kAllAttributes));
+  auto writer = OpenSampleWriter(folder / "a", GetParam(), HeaderFor(samples, kAllAttributes),
+                                 test::ResourcesOfTests());
   ASSERT_TRUE(writer) << MessageOf(writer);
   const auto written = (*writer)->Write(samples);
   ASSERT_FALSE(written);

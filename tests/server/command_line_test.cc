@@ -185,11 +185,13 @@ TEST(OptionFormat, FollowsTheSuffix) {
   EXPECT_EQ(format_of("-o a.ply"), io::SampleFormat::kPly);
   EXPECT_EQ(format_of("-o a.xyz"), io::SampleFormat::kXyz);
   EXPECT_EQ(format_of("-o a.npz"), io::SampleFormat::kNpz);
+  EXPECT_EQ(format_of("-o a.vdb"), io::SampleFormat::kVdb);
   EXPECT_EQ(format_of("-o a.dat --format npz"), io::SampleFormat::kNpz);
   EXPECT_EQ(format_of("-o a.ply --format xyz"), io::SampleFormat::kXyz);
-  EXPECT_THAT(Refusal("sample in.ply -o a.dat"), HasSubstr(".drc, .ply, .xyz, .npz, .csv or .glb"));
+  EXPECT_THAT(Refusal("sample in.ply -o a.dat"),
+              HasSubstr(".drc, .ply, .xyz, .npz, .csv, .glb or .vdb"));
   EXPECT_THAT(Refusal("sample in.ply -o -"), HasSubstr("--format is needed"));
-  EXPECT_THAT(SampleRefusal("--format obj"), HasSubstr("drc, ply, xyz, npz, csv or glb"));
+  EXPECT_THAT(SampleRefusal("--format obj"), HasSubstr("drc, ply, xyz, npz, csv, glb or vdb"));
 }
 
 TEST(OptionAttributes, DefaultsToNormal) {

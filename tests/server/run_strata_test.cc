@@ -53,11 +53,16 @@ class RunStrata : public testing::Test {
 // --- What comes out ------------------------------------------------------------------------------
 
 TEST_F(RunStrata, WritesEveryFormat) {
-  const std::vector<std::pair<std::string, std::string>> formats = {{"out.drc", "DRACO"},
-                                                                    {"out.ply", "ply\n"},
-                                                                    {"out.npz", "PK"},
-                                                                    {"out.xyz", ""},
-                                                                    {"out.glb", "glTF"}};
+  const std::vector<std::pair<std::string, std::string>> formats = {
+    {"out.drc", "DRACO"},
+    {"out.ply", "ply\n"},
+    {"out.npz", "PK"},
+    {"out.xyz", ""},
+    {"out.glb", "glTF"},
+#if !STRATA_SANITIZED
+    {"out.vdb", " BDV"},
+#endif
+  };
   for (const auto& [name, magic] : formats) {
     const std::string bytes = Written(name, {"--resolution", "10"});
     EXPECT_THAT(bytes.substr(0, 8), StartsWith(magic)) << name;

@@ -64,11 +64,20 @@ inline SampleColumns Slice(const SampleColumns& s, std::size_t first, std::size_
           cut(s.cell),     cut(s.area),   cut(s.weight),   {}};
 }
 
+/// With the program that vdb needs, where the test knows it.
+inline io::WriterResources ResourcesOfTests() {
+  io::WriterResources resources;
+#ifdef STRATA_VDB_PROGRAM
+  resources.vdb_program = STRATA_VDB_PROGRAM;
+#endif
+  return resources;
+}
+
 /// Writes `samples` in portions of `portion`; returns the file's size.
 inline Result<std::uint64_t> WriteSamples(const std::string& path, io::SampleFormat format,
                                           const SampleColumns& samples, const SampleHeader& header,
                                           std::size_t portion = SIZE_MAX) {
-  auto writer = io::OpenSampleWriter(path, format, header);
+  auto writer = io::OpenSampleWriter(path, format, header, ResourcesOfTests());
   if (!writer) return Forward(writer);
   for (std::size_t i = 0; i < samples.size();) {
     const std::size_t n = std::min(portion, samples.size() - i);

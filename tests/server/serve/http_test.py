@@ -14,7 +14,8 @@ class Samples(ServerCase):
     def test_every_format_has_the_bytes_of_the_command(self):
         for name, media_type in [('drc', 'model/vnd.draco'), ('ply', 'model/vnd.ply'),
                                  ('xyz', 'text/plain'), ('npz', 'application/x-npz'),
-                                 ('csv', 'text/csv'), ('glb', 'model/gltf-binary')]:
+                                 ('csv', 'text/csv'), ('glb', 'model/gltf-binary'),
+                                 ('vdb', 'model/vnd.openvdb')]:
             expected = sample_by_command(spot(), name, '--resolution', '40')
             answer = self.server.curl(f'/v1/samples?resolution=40&format={name}',
                                       body=spot().read_bytes())
@@ -136,7 +137,7 @@ class Problems(ServerCase):
                 ('method=uniform&count=0', "count: found '0', expected a whole number"),
                 ('count=10', 'count is an option of method uniform'),
                 ('method=uniform&count=10&lambda=3', 'count excludes lambda, min_distance and'),
-                ('format=stl', "format: found 'stl', expected drc, ply, xyz, npz, csv or glb"),
+                ('format=stl', "format: found 'stl', expected drc, ply, xyz, npz, csv, glb or vdb"),
                 ('attributes=a%20b', "attributes: found 'a b', expected normal, triangle"),
                 ('normals=flat', "normals: found 'flat', expected vertex or face"),
                 ('memory=1', 'memory: found'),

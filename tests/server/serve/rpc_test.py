@@ -83,7 +83,7 @@ class Sampling(RpcCase):
 
     def test_grpc_http_and_command_give_the_same_bytes(self):
         mesh = spot().read_bytes()
-        for name in ('drc', 'ply', 'xyz', 'npz', 'csv', 'glb'):
+        for name in ('drc', 'ply', 'xyz', 'npz', 'csv', 'glb', 'vdb'):
             body, summary, kinds = self.sample(
                 self.requests(mesh, resolution=40, format=name, seed=7, min_distance=0.7))
             http = self.server.curl(f'/v1/samples?resolution=40&format={name}&seed=7'
