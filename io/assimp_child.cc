@@ -2,12 +2,10 @@
 
 #include <fcntl.h>
 #include <poll.h>
-#include <signal.h>
-#include <spawn.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <cstring>
 #include <system_error>
@@ -21,36 +19,18 @@ constexpr int kPollMs = 100;
 
 }  // namespace
 
-AssimpChild::~AssimpChild() {
-  if (id_ <= 0) return;
-  kill(id_, SIGKILL);
-  Reap();
-}
-
 Result<void> AssimpChild::Start(const AssimpOrder& order) {
   int ends[2];
   if (pipe2(ends, O_CLOEXEC) != 0) return System("pipe");
   pipe_ = Fd(ends[0]);
   const Fd out(ends[1]);
-  posix_spawn_file_actions_t actions;
-  posix_spawn_file_actions_init(&actions);
-  posix_spawn_file_actions_addopen(&actions, 0, "/dev/null", O_RDONLY, 0);
-  // By way of high numbers, so that neither overwrites the other.
-  posix_spawn_file_actions_adddup2(&actions, order.input, 101);
-  posix_spawn_file_actions_adddup2(&actions, out.get(), 102);
-  posix_spawn_file_actions_adddup2(&actions, 102, 1);
-  posix_spawn_file_actions_adddup2(&actions, 101, kAssimpInput);
-  posix_spawn_file_actions_addopen(&actions, 2, "/dev/null", O_WRONLY, 0);
-  posix_spawn_file_actions_addclosefrom_np(&actions, kAssimpInput + 1);
-  std::string limit = std::to_string(order.memory), suffix = order.suffix, self = order.program;
-  std::string run = order.attributes ? kAssimpAttributes : kAssimpSurface;
-  char* const arguments[] = {self.data(), limit.data(), suffix.data(), run.data(), nullptr};
-  char* const environment[] = {nullptr};
-  const int failed =
-      posix_spawn(&id_, order.program.c_str(), &actions, nullptr, arguments, environment);
-  posix_spawn_file_actions_destroy(&actions);
+  const std::array<ChildProcess::Opening, 2> openings = {
+      {{out.get(), 1}, {order.input, kAssimpInput}}};
+  const int failed = process_.Start(order.program,
+                                    {std::to_string(order.memory), order.suffix,
+                                     order.attributes ? kAssimpAttributes : kAssimpSurface},
+                                    openings);
   if (failed == 0) return {};
-  id_ = -1;
   return Fail(ErrorCode::kNotFound, name_ + ": cannot start " + order.program + ": " +
                                         std::generic_category().message(failed));
 }
@@ -70,14 +50,6 @@ Result<void> AssimpChild::Take(std::span<char> out) {
 
 tl::unexpected<Error> AssimpChild::System(const char* what) const {
   return Fail(ErrorCode::kIo, name_ + ": " + what + ": " + std::generic_category().message(errno));
-}
-
-int AssimpChild::Reap() {
-  int status = 0;
-  while (waitpid(id_, &status, 0) < 0 && errno == EINTR) {
-  }
-  id_ = -1;
-  return status;
 }
 
 Result<void> AssimpChild::Fill() {
@@ -100,16 +72,9 @@ Result<void> AssimpChild::Fill() {
 }
 
 tl::unexpected<Error> AssimpChild::Died() {
-  const int status = id_ > 0 ? Reap() : 0;
-  std::string how = "ended too early, with status " + std::to_string(WEXITSTATUS(status));
-  if (WIFSIGNALED(status)) {
-    const int signal = WTERMSIG(status);
-    how = signal == SIGXCPU ? "needed more processor time than it may"
-                            : std::string("was killed by signal ") + std::to_string(signal) + " (" +
-                                  strsignal(signal) + ")";
-  }
-  return Fail(ErrorCode::kCorruptInput,
-              name_ + ": the process that reads it " + how + ": assimp does not stand this file");
+  return Fail(ErrorCode::kCorruptInput, name_ + ": the process that reads it " +
+                                            process_.WaitForEnd() +
+                                            ": assimp does not stand this file");
 }
 
 }  // namespace strata::io

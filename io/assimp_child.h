@@ -1,8 +1,6 @@
 // The process that runs strata-assimp.
 #pragma once
 
-#include <sys/types.h>
-
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -12,6 +10,7 @@
 #include "core/result.h"
 #include "core/run_context.h"
 #include "io/assimp_records.h"
+#include "io/child_process.h"
 #include "io/fd.h"
 
 namespace strata::io {
@@ -31,9 +30,6 @@ class AssimpChild : public AssimpFeed {
   /// `name` is the mesh's, for messages; `context` (may be null) is polled for its cancel flag.
   AssimpChild(std::string name, const RunContext* context)
       : name_(std::move(name)), context_(context), buffer_(std::size_t{1} << 18) {}
-  ~AssimpChild() override;
-  AssimpChild(const AssimpChild&) = delete;
-  AssimpChild& operator=(const AssimpChild&) = delete;
 
   /// Once. Errors: kNotFound (no such program), kIo.
   Result<void> Start(const AssimpOrder& order);
@@ -42,16 +38,15 @@ class AssimpChild : public AssimpFeed {
 
  private:
   tl::unexpected<Error> System(const char* what) const;
-  int Reap();
   Result<void> Fill();
   tl::unexpected<Error> Died();
 
   const std::string name_;
   const RunContext* context_;
   Fd pipe_;
-  pid_t id_ = -1;
   std::vector<char> buffer_;
   std::size_t begin_ = 0, end_ = 0;
+  ChildProcess process_;  // Ends first.
 };
 
 }  // namespace strata::io

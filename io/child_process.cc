@@ -58,6 +58,7 @@ int ChildProcess::Start(const std::string& program, std::vector<std::string> arg
   posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
   arguments.insert(arguments.begin(), program);
   std::vector<char*> words;
+  words.reserve(arguments.size() + 1);
   for (std::string& argument : arguments) words.push_back(argument.data());
   words.push_back(nullptr);
   char* const environment[] = {nullptr};
@@ -78,6 +79,7 @@ int ChildProcess::Reap() {
 }
 
 std::string ChildProcess::WaitForEnd() {
+  if (id_ <= 0) return "is gone";
   const int status = Reap();
   if (!WIFSIGNALED(status)) {
     return "ended too early, with status " + std::to_string(WEXITSTATUS(status));

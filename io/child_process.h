@@ -32,7 +32,7 @@ class ChildProcess {
             std::span<const Opening> openings);
 
   /// Waits for its end and says how it came: "ended too early, with status 3", "was killed by
-  /// signal 9 (Killed)". Precondition: started, and not yet waited for.
+  /// signal 9 (Killed)"; "is gone" from then on. Precondition: started.
   std::string WaitForEnd();
 
  private:

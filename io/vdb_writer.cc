@@ -140,7 +140,7 @@ class LeafNumbers {
       if (!(first > -0x1p+29 && last < 0x1p+29)) return TooWide(name);
       const auto k = static_cast<std::size_t>(a);
       numbers.first_[k] = static_cast<std::int64_t>(first);
-      numbers.bits_[k] = std::bit_width(static_cast<std::uint64_t>(last - first));
+      numbers.bits_[k] = static_cast<int>(std::bit_width(static_cast<std::uint64_t>(last - first)));
       bits += numbers.bits_[k];
     }
     if (bits > 64) return TooWide(name);

@@ -126,17 +126,17 @@ template <class Visit>
 auto WithType(VdbType type, const Visit& visit) {
   switch (type) {
     case VdbType::kInt8:
-      return visit(std::int8_t());
+      return visit(std::int8_t{});
     case VdbType::kInt16:
-      return visit(std::int16_t());
+      return visit(std::int16_t{});
     case VdbType::kInt32:
-      return visit(std::int32_t());
+      return visit(std::int32_t{});
     case VdbType::kInt64:
-      return visit(std::int64_t());
+      return visit(std::int64_t{});
     case VdbType::kFloat:
-      return visit(float());
+      return visit(float{});
     default:
-      return visit(double());
+      return visit(double{});
   }
 }
 

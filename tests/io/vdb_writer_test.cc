@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "io/sample_writer.h"
+#include "tests/support/mesh_attribute.h"
 #include "tests/support/read_vdb.h"
 #include "tests/support/sample_columns.h"
 #include "tests/support/temp_folder.h"
@@ -28,6 +29,7 @@ namespace {
 
 using nlohmann::json;
 using test::HeaderFor;
+using test::MakeAttribute;
 using test::MessageOf;
 using test::ReadVdb;
 using test::TempFolder;
@@ -38,16 +40,6 @@ using testing::StartsWith;
 
 constexpr double kEdge = 0.125;
 const Vec3 kOrigin{-3.7, 1000.25, 12.3};
-
-MeshAttribute Attribute(const char* name, ScalarType type, int components,
-                        Semantic semantic = Semantic::kGeneric) {
-  MeshAttribute attribute;
-  attribute.name = name;
-  attribute.type = type;
-  attribute.components = components;
-  attribute.semantic = semantic;
-  return attribute;
-}
 
 // One sample in each of `n` cells that lie on a wavy sheet, all columns set.
 SampleColumns OnePerCell(std::size_t n, std::uint64_t seed) {
@@ -225,24 +217,24 @@ Written WriteAll(const std::string& path) {
   Written w;
   w.samples = OnePerCell(700, 12);
   w.header = HeaderOn(w.samples, kAllAttributes);
-  w.header.carried = {Attribute("paint", ScalarType::kUint8, 4, Semantic::kColor),
-                      Attribute("st", ScalarType::kFloat64, 2, Semantic::kUv),
-                      Attribute("i8", ScalarType::kInt8, 3),
-                      Attribute("u8", ScalarType::kUint8, 1),
-                      Attribute("i16", ScalarType::kInt16, 1),
-                      Attribute("u16", ScalarType::kUint16, 2),
-                      Attribute("i32", ScalarType::kInt32, 1),
-                      Attribute("u32", ScalarType::kUint32, 1),
-                      Attribute("i64", ScalarType::kInt64, 1),
-                      Attribute("u64", ScalarType::kUint64, 2),
-                      Attribute("f32", ScalarType::kFloat32, 3),
-                      Attribute("f64", ScalarType::kFloat64, 1),
-                      Attribute("many", ScalarType::kFloat32, 6),
-                      Attribute("material", ScalarType::kUint16, 1, Semantic::kMaterial),
-                      Attribute("light", ScalarType::kUint16, 3, Semantic::kColor),
-                      Attribute("N", ScalarType::kFloat32, 1),
-                      Attribute("a-b", ScalarType::kFloat32, 1),
-                      Attribute("a_b", ScalarType::kFloat32, 1)};
+  w.header.carried = {MakeAttribute("paint", ScalarType::kUint8, 4, Semantic::kColor),
+                      MakeAttribute("st", ScalarType::kFloat64, 2, Semantic::kUv),
+                      MakeAttribute("i8", ScalarType::kInt8, 3),
+                      MakeAttribute("u8", ScalarType::kUint8, 1),
+                      MakeAttribute("i16", ScalarType::kInt16, 1),
+                      MakeAttribute("u16", ScalarType::kUint16, 2),
+                      MakeAttribute("i32", ScalarType::kInt32, 1),
+                      MakeAttribute("u32", ScalarType::kUint32, 1),
+                      MakeAttribute("i64", ScalarType::kInt64, 1),
+                      MakeAttribute("u64", ScalarType::kUint64, 2),
+                      MakeAttribute("f32", ScalarType::kFloat32, 3),
+                      MakeAttribute("f64", ScalarType::kFloat64, 1),
+                      MakeAttribute("many", ScalarType::kFloat32, 6),
+                      MakeAttribute("material", ScalarType::kUint16, 1, Semantic::kMaterial),
+                      MakeAttribute("light", ScalarType::kUint16, 3, Semantic::kColor),
+                      MakeAttribute("N", ScalarType::kFloat32, 1),
+                      MakeAttribute("a-b", ScalarType::kFloat32, 1),
+                      MakeAttribute("a_b", ScalarType::kFloat32, 1)};
   w.header.carried[0].color_space = ColorSpace::kSrgb;
   w.header.carried[13].names = {"oak", "ash \"grey\""};
   std::mt19937_64 random(5);
