@@ -65,6 +65,7 @@ std::vector<std::string> OffSeeds() {
           "STCN4OFF 3 1 0\n0 0 0 1 0 0 1 1 1 1 1 0 0\n1 0 0 1 0 0 1 1 1 1 1 0 0\n"
           "0 1 0 1 0 0 1 1 1 1 1 0 0\n3 0 1 2\n",
           "COFF\n3 1 3\n0 0 0 255 0 0 255\n1 0 0 255 0 0 255\n0 1 0 255 0 0 255\n3 0 1 2 1\n",
+          "COFF\n3 2 0\n0 0 0 1 0 0\n1 0 0 0 1 0\n0 1 0 0 0 1\n3 0 1 2 0.5 1 0\n3 2 1 0\n",
           "NOFF\n3 2 0\n0 0 0 0 0 1\n1 0 0 0 0 1\n0 1 0 0 0 1\n3 0 1 7\n2 0 1\n"};
 }
 
@@ -123,6 +124,9 @@ int main(int argc, char** argv) {
     any.push_back(strata::test::Zstd(files[0]));
   }
   WriteAll(folder / "open_mesh", any);
+  WriteAll(folder / "three_mf", ThreeMfSeeds());
+  WriteAll(folder / "mtl", MtlSeeds());
+  WriteAll(folder / "assimp", AssimpSeeds());
   WriteAll(folder / "triangulate", PolygonSeeds());
   WriteAll(folder / "http", HttpSeeds());
   WriteAll(folder / "wire", WireSeeds());

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 
+#include "io/assimp_stream.h"
 #include "tests/support/draco_maker.h"
 #include "tests/support/gltf_maker.h"
 #include "tests/support/zip_maker.h"
@@ -45,6 +46,9 @@ GltfMaker Skinned() {
       maker.Values(std::vector<std::uint8_t>{0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0}, "VEC4", 4, 5121);
   attributes["WEIGHTS_0"] = maker.Values(
       std::vector<std::uint8_t>{255, 0, 0, 0, 255, 0, 0, 0, 9, 0, 0, 0}, "VEC4", 4, 5121, true);
+  attributes["NORMAL"] = maker.Floats3({0, 0, 1, 0, 1, 0, 1, 0, 0});
+  maker.json["meshes"][0]["primitives"][0]["targets"] = {{{"NORMAL", attributes["NORMAL"]}}};
+  maker.json["meshes"][0]["weights"] = {2};
   maker.json["skins"] = {{{"joints", {0}}}};
   maker.json["nodes"][0]["skin"] = 0;
   return maker;
@@ -72,7 +76,8 @@ std::vector<std::string> GltfSeeds() {
 }
 
 std::vector<std::string> DracoSeeds() {
-  return {strata::test::MakeDraco(3, true), strata::test::MakeDraco(3, false, true)};
+  return {strata::test::MakeDraco(3, true), strata::test::MakeDraco(3, false, true),
+          strata::test::MakeFullDraco(true), strata::test::MakeFullDraco(false)};
 }
 
 std::vector<std::string> ArchiveSeeds() {
@@ -83,4 +88,73 @@ std::vector<std::string> ArchiveSeeds() {
                             "<object id=\"2\"><components><component objectid=\"1\" "
                             "transform=\"0 1 0 -1 0 0 0 0 1 9 9 9\"/></components></object>"
                             "</resources><build><item objectid=\"2\"/></build></model>")};
+}
+
+std::vector<std::string> ThreeMfSeeds() {
+  using strata::test::ModelTag;
+  const std::string materials =
+      "xmlns:m=\"http://schemas.microsoft.com/3dmanufacturing/material/2015/02\" unit=\"inch\"";
+  const std::string facet =
+      "<mesh><vertices><vertex x=\"0\" y=\"0\" z=\"0\"/><vertex x=\"1\" y=\"0\" z=\"0\"/>"
+      "<vertex x=\"0\" y=\"1\" z=\"0\"/></vertices><triangles><triangle v1=\"0\" v2=\"1\" v3=\"2\" "
+      "pid=\"2\" p1=\"0\" p2=\"1\"/><triangle v1=\"0\" v2=\"2\" v3=\"1\" pid=\"3\" p1=\"0\"/>"
+      "<triangle v1=\"0\" v2=\"2\" v3=\"9\"/></triangles></mesh></object>";
+  return {ModelTag(materials) +
+              "<resources><basematerials id=\"1\"><base name=\"a\" displaycolor=\"#804000\"/>"
+              "</basematerials><m:colorgroup id=\"2\"><m:color color=\"#FF000080\"/><m:color "
+              "color=\"#00FF00\"/></m:colorgroup><m:multiproperties id=\"3\" pids=\"1 2\"><m:multi "
+              "pindices=\"0 1\"/></m:multiproperties><object id=\"4\" name=\"n\" pid=\"1\" "
+              "pindex=\"0\">" +
+              facet + "</resources><build><item objectid=\"4\" partnumber=\"p\"/></build></model>",
+          ModelTag() + "<resources>" + strata::test::Tetrahedron(1) +
+              "<object id=\"2\"><components><component objectid=\"1\" transform=\"0 1 0 -1 0 0 0 0 "
+              "1 9 9 9\"/></components></object></resources><build><item objectid=\"2\"/><item "
+              "objectid=\"1\" transform=\"-1 0 0 0 1 0 0 0 1 0 0 0\"/></build></model>"};
+}
+
+std::vector<std::string> MtlSeeds() {
+  return {
+      "# a\nnewmtl a\nKd 1 0.5 0\nmap_Kd -s 1 1 1 -o 0.5 -mm 0 1 -clamp on t.png\n"
+      "newmtl b\nmap_Kd a b.png\nd 0.5\nillum 2\n",
+      "map_Kd x\r\nnewmtl\r\nnewmtl a\r\nmap_Kd -bm 1\r\n"};
+}
+
+std::vector<std::string> AssimpSeeds() {
+  using strata::io::AssimpRecord;
+  std::string bytes;
+  const auto put = [&](auto value) {
+    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
+  };
+  const auto text = [&](const std::string& value) {
+    put(static_cast<std::uint32_t>(value.size()));
+    bytes += value;
+  };
+  const auto list = [&](const std::string& name) {
+    put(std::uint32_t{1});
+    text(name);
+  };
+  put(AssimpRecord::kFailure);
+  put(std::uint32_t{2});
+  text("unknown");
+  std::vector<std::string> seeds = {std::string(1, '\0') + bytes};
+  for (const bool attributes : {false, true}) {
+    bytes = attributes ? '\1' : '\0';
+    put(AssimpRecord::kHead);
+    for (const std::uint64_t count : {3, 1, 1, 0, 2}) put(count);
+    text("FBX");
+    list("oak");
+    text("y");
+    for (const std::uint32_t sets : {1, 1, 2}) put(sets);
+    list("mesh");
+    list("node");
+    put(AssimpRecord::kPlaced);
+    for (const std::uint32_t id : {0, 0, 0}) put(id);
+    put(AssimpRecord::kPolygon);
+    put(std::uint32_t{3});
+    for (int i = 0; i < 9; ++i) put(i * 0.5);
+    for (int i = 0; attributes && i < 3 * 11; ++i) put(static_cast<float>(i));
+    put(AssimpRecord::kEnd);
+    seeds.push_back(bytes);
+  }
+  return seeds;
 }
