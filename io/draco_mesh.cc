@@ -58,18 +58,32 @@ Result<DracoMesh> DracoMesh::Decode(std::string_view bytes, const std::string& w
 
 namespace {
 
+// Where the value of a point begins; null if not all of its bytes are there.
+const std::uint8_t* StoredValue(const draco::PointAttribute& attribute, draco::PointIndex point) {
+  const draco::AttributeValueIndex at = attribute.mapped_index(point);
+  if (at.value() >= attribute.size()) return nullptr;
+  const std::int64_t bytes = std::int64_t{draco::DataTypeLength(attribute.data_type())} *
+                             std::int64_t{attribute.num_components()};
+  const std::int64_t begin = attribute.GetBytePos(at);
+  const auto size = static_cast<std::int64_t>(attribute.buffer()->data_size());
+  if (begin < 0 || begin > size || size - begin < bytes) return nullptr;
+  return attribute.buffer()->data() + begin;
+}
+
 // Calls visit(values) with every point's value as `components` doubles.
 template <class Visit>
 Result<void> ForEachValue(const draco::PointCloud& cloud, const draco::PointAttribute* attribute,
                           std::uint32_t components, const std::string& who, Visit visit) {
-  if (attribute == nullptr || attribute->num_components() != static_cast<int>(components)) {
+  // Draco reads truth values as bool, which not every byte is.
+  if (attribute == nullptr || attribute->num_components() != static_cast<int>(components) ||
+      attribute->data_type() == draco::DT_BOOL) {
     return Fail(ErrorCode::kCorruptInput, who + ": the Draco data have no such attribute of " +
                                               std::to_string(components) + " components");
   }
   double values[16];
   for (draco::PointIndex i(0); i < cloud.num_points(); ++i) {
     const draco::AttributeValueIndex at = attribute->mapped_index(i);
-    if (at.value() >= attribute->size() ||
+    if (StoredValue(*attribute, i) == nullptr ||
         !attribute->ConvertValue<double>(at, static_cast<std::int8_t>(components), values)) {
       return Fail(ErrorCode::kCorruptInput,
                   who + ": the Draco data have no value for point " + std::to_string(i.value()));
@@ -243,16 +257,12 @@ Result<void> DracoMesh::AppendRows(std::span<const std::uint32_t> numbers, const
     for (const draco::PointAttribute* const attribute : from) {
       const auto n = static_cast<std::size_t>(draco::DataTypeLength(attribute->data_type())) *
                      static_cast<std::size_t>(attribute->num_components());
-      const draco::AttributeValueIndex at = attribute->mapped_index(i);
-      const std::int64_t begin = attribute->GetBytePos(at);
-      const auto size = static_cast<std::int64_t>(attribute->buffer()->data_size());
-      if (at.value() >= attribute->size() || begin < 0 || begin > size ||
-          size - begin < static_cast<std::int64_t>(n) ||
-          static_cast<std::size_t>(row.data() + row.size() - out) < n) {
+      const std::uint8_t* const value = StoredValue(*attribute, i);
+      if (value == nullptr || static_cast<std::size_t>(row.data() + row.size() - out) < n) {
         return Fail(ErrorCode::kCorruptInput,
                     who + ": the Draco data have no value for point " + std::to_string(i.value()));
       }
-      std::memcpy(out, attribute->buffer()->data() + begin, n);
+      std::memcpy(out, value, n);
       out += n;
     }
     if (auto added = to.Append(row.data()); !added) return added;

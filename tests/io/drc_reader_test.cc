@@ -95,6 +95,21 @@ TEST(DrcReader, RefusesPointCloudsAndLaterVersions) {
   EXPECT_EQ(Read(bytes).error().code, ErrorCode::kUnsupported);
 }
 
+TEST(DrcReader, RefusesPositionsThatAreTruthValues) {
+  draco::TriangleSoupMeshBuilder builder;
+  builder.Start(1);
+  const int id = builder.AddAttribute(draco::GeometryAttribute::POSITION, 3, draco::DT_BOOL);
+  const std::uint8_t a[3] = {0, 0, 0}, b[3] = {1, 0, 0}, c[3] = {0, 200, 0};
+  builder.SetAttributeValuesForFace(id, draco::FaceIndex(0), a, b, c);
+  draco::EncoderBuffer buffer;
+  draco::Encoder encoder;
+  encoder.SetEncodingMethod(draco::MESH_SEQUENTIAL_ENCODING);
+  ASSERT_TRUE(encoder.EncodeMeshToBuffer(*builder.Finalize(), &buffer).ok());
+  const auto mesh = Read({buffer.data(), buffer.size()});
+  ASSERT_FALSE(mesh);
+  EXPECT_EQ(mesh.error().code, ErrorCode::kCorruptInput) << mesh.error().message;
+}
+
 TEST(DrcAttributes, AreAllThatItsPointsCarry) {
   for (const bool edgebreaker : {false, true}) {
     SCOPED_TRACE(edgebreaker ? "edgebreaker" : "sequential");

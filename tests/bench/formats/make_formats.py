@@ -116,10 +116,10 @@ def three_mf(path, vertices, faces):
 
 def directx(out, vertices, faces):
     out.write(f'xof 0303txt 0032\nMesh grid {{\n{len(vertices)};\n'.encode())
-    text_rows(out, '%.9g;%.9g;%.9g;,\n', vertices)
-    out.write(f';\n{len(faces)};\n'.encode())
-    text_rows(out, '3;%d,%d,%d;,\n', faces)
-    out.write(b';\n}\n')
+    text_rows(out, '%.9g;%.9g;%.9g;,\n', vertices[:-1])
+    out.write(rows('%.9g;%.9g;%.9g;;\n', vertices[-1:]) + f'{len(faces)};\n'.encode())
+    text_rows(out, '3;%d,%d,%d;,\n', faces[:-1])
+    out.write(rows('3;%d,%d,%d;;\n', faces[-1:]) + b'}\n')
 
 
 def main():
