@@ -31,6 +31,11 @@ bool TextScanner::Reject(const std::string& what, ErrorCode code) {
 }
 
 Result<void> TextScanner::Seek(std::uint64_t offset, std::uint64_t line_number) {
+  if (ends_ == Ends::kUnknown && offset > 0) {
+    // The first line of the text tells how lines end, wherever reading begins.
+    if (auto ok = Seek(0, 1); !ok) return ok;
+    if (!DecideEnds()) return failure();
+  }
   window_ = {};
   drained_ = swallow_lf_ = failed_ = false;
   terminated_ = true;

@@ -187,6 +187,17 @@ TEST(OffAttributes, OfFacesReachTheSamples) {
   }
 }
 
+TEST(OffAttributes, CountTheSameLinesAsTheReader) {
+  // A carriage return is a blank where the first line ends with none.
+  const std::string file =
+      "COFF\n3 2 0\n0 0 0 255 0 0\n1 0 0 255 0 0\n0 1 0 255 0 0\n1 0 \r2 1 0\n3 2 1 0\n";
+  const auto result = Sample(file, "a.off", {"color"});
+  ASSERT_TRUE(result) << result.error().message;
+  for (const std::uint8_t value : Column<std::uint8_t>(*result, "color")) {
+    EXPECT_TRUE(value == 0 || value == 255) << int{value};
+  }
+}
+
 TEST(OffAttributes, OfFacesAndVerticesAreTold) {
   const auto with = [](const std::string& head, const std::string& tail) {
     return AttributesOf(

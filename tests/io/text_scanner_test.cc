@@ -46,6 +46,18 @@ TEST(TextScanner, EndsLinesWithALoneCrIfTheFirstOneDoes) {
   }
 }
 
+TEST(TextScanner, EndsLinesAsTheFirstOneDoesWhereverItBegins) {
+  for (const auto& [text, expected] :
+       {std::pair("a\nb\rc\rd\n", "b\rc\rd"), std::pair("a\rb\nc\n", "b")}) {
+    const auto source = MemorySource(text);
+    TextScanner scanner(*source, 1000);
+    ASSERT_TRUE(scanner.Seek(2, 2));
+    ASSERT_TRUE(scanner.Next());
+    EXPECT_EQ(scanner.line(), expected);
+    EXPECT_EQ(scanner.line_number(), 2u);
+  }
+}
+
 TEST(TextScanner, DropsAByteOrderMark) {
   EXPECT_EQ(LinesOf("\xEF\xBB\xBF"
                     "a\nb"),
