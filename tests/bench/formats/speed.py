@@ -3,9 +3,14 @@
 
     speed.py STRATA [--triangles N] [--runs N] [--json FILE]
 
-Writes one mesh in every format (make_formats.py), reads each with `strata info`, which goes through all triangles
-once, in turns, and prints a table: MB of the file as it is stored for each second of CPU time (medians; of assimp's process
-too), the time over that of binary PLY, and the peak memory over the file's size. The process's own start is part of it.
+Writes one mesh in every format (make_formats.py), reads each with `strata info` and with `strata sample
+--resolution 4`, in turns, and prints a table: MB of the file as it is stored for each second of CPU time (medians;
+of assimp's process too), both times over those of binary PLY, and the peak memory over the file's size. The process's
+own start is part of it.
+
+`info` reads the triangles once, and the ids that glTF, 3MF and assimp's scenes have in a second pass for their ranges;
+`sample` reads formats without a list of vertices in the world (STL, glTF, 3MF, assimp's) twice, first for the
+lattice, and races all triangles.
 """
 import argparse
 import json
@@ -39,24 +44,30 @@ def main():
         folder.mkdir(), scratch.mkdir()
         subprocess.run([sys.executable, HERE / 'make_formats.py', folder, str(arguments.triangles)], check=True)
         files = sorted((p for p in folder.iterdir() if p.name not in NO_MESH), key=lambda p: (p.name != BASE, p.name))
-        costs, areas = {p.name: [] for p in files}, {}
+        costs, areas = {(p.name, w): [] for p in files for w in ('info', 'sample')}, {}
+        out, summary = scratch / 'out.xyz', scratch / 'summary.json'
         for _ in range(arguments.runs):
             for path in files:
                 more = ['--assimp'] if path.name in BY_ASSIMP else []
-                cost = run_once(Command([arguments.strata.resolve(), 'info', path, '--json', *more]), scratch)
+                info = [arguments.strata.resolve(), 'info', path, '--json', *more]
+                costs[path.name, 'info'].append(run_once(Command(info), scratch))
                 areas[path.name] = json.loads((scratch / 'stdout').read_text())['area']
-                costs[path.name].append(cost)
+                sample = [arguments.strata.resolve(), 'sample', path, '--resolution', '4', '--attributes', 'none',
+                          '-o', out, '--summary', summary, *more]
+                costs[path.name, 'sample'].append(run_once(Command(sample), scratch))
         rows = []
         for path in files:
             size = sum((folder / n).stat().st_size for n in [path.name, *COMPANIONS.get(path.name, [])])
-            cpu = statistics.median(c.cpu for c in costs[path.name])
-            peak = max(c.peak_bytes for c in costs[path.name])
-            rows.append({'file': path.name, 'mb': size / 1e6, 'mb_per_s': size / 1e6 / cpu, 'cpu': cpu,
-                         'over_ply': cpu / statistics.median(c.cpu for c in costs[BASE]),
+            cpu = {w: statistics.median(c.cpu for c in costs[path.name, w]) for w in ('info', 'sample')}
+            base = {w: statistics.median(c.cpu for c in costs[BASE, w]) for w in ('info', 'sample')}
+            peak = max(c.peak_bytes for w in cpu for c in costs[path.name, w])
+            rows.append({'file': path.name, 'mb': size / 1e6, 'mb_per_s': size / 1e6 / cpu['info'], 'cpu': cpu,
+                         'info': cpu['info'] / base['info'], 'sample': cpu['sample'] / base['sample'],
                          'peak_mb': peak / 1e6, 'peak_over_size': peak / size, 'area': areas[path.name]})
-    print('| file | MB | MB/s of CPU | time / binary PLY | peak MB | peak / size |\n| --- | --- | --- | --- | --- | --- |')
+    print('| file | MB | MB/s of CPU | info / PLY | sample / PLY | peak MB | peak / size |')
+    print('| --- | --- | --- | --- | --- | --- | --- |')
     for row in rows:
-        print('| {file} | {mb:.1f} | {mb_per_s:.0f} | {over_ply:.1f} | {peak_mb:.0f} | {peak_over_size:.1f} |'
+        print('| {file} | {mb:.1f} | {mb_per_s:.0f} | {info:.1f} | {sample:.1f} | {peak_mb:.0f} | {peak_over_size:.1f} |'
               .format(**row))
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1))
