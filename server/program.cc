@@ -24,6 +24,29 @@ void OccupyStandardStreams() {
   }
 }
 
+/// Names of files and texts of foreign files stand in messages: their control characters, which a
+/// terminal would obey, are shown. Line ends are the message's own.
+std::string Shown(const std::string& message) {
+  std::string text;
+  for (std::size_t i = 0; i < message.size(); ++i) {
+    const auto byte = static_cast<unsigned char>(message[i]);
+    const auto next = static_cast<unsigned char>(i + 1 < message.size() ? message[i + 1] : 0);
+    // U+0080 to U+009F, as UTF-8 has them, are control characters, too.
+    const bool control = (byte < ' ' && byte != '\n') || byte == 0x7f ||
+                         (byte == 0xc2 && next >= 0x80 && next < 0xa0);
+    if (!control) {
+      text += message[i];
+      continue;
+    }
+    const unsigned char shown = byte == 0xc2 ? next : byte;
+    std::array<char, 8> code;
+    std::snprintf(code.data(), code.size(), "\\x%02x", shown);
+    text += code.data();
+    if (byte == 0xc2) ++i;
+  }
+  return text;
+}
+
 }  // namespace
 
 bool IsServiceCommand(std::string_view name) {
@@ -32,7 +55,7 @@ bool IsServiceCommand(std::string_view name) {
 }
 
 int Report(const Error& error, int signal) {
-  std::fprintf(stderr, "strata: %s\n", error.message.c_str());
+  std::fprintf(stderr, "strata: %s\n", Shown(error.message).c_str());
   if (error.code == ErrorCode::kCancelled && signal != 0) return 128 + signal;
   return ExitCodeOf(error.code).exit_status;
 }

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "server/batch/batch_child.h"
 #include "server/batch/batch_command.h"
 #include "server/program.h"
 #include "server/serve_command.h"
@@ -14,17 +15,23 @@
 namespace strata::server {
 namespace {
 
+int RunBatchCommand(std::span<const std::string> arguments) {
+  int signal = 0;
+  const auto status = BatchMain(arguments, signal);
+  return status ? *status : Report(status.error(), signal);
+}
+
 int Main(const std::vector<std::string>& arguments) {
   if (arguments.size() == 1 && arguments[0] == kWorkerCommand) return RunWorker();
+  if (arguments.size() > 1 && arguments[0] == kBatchChildCommand) {
+    if (!EnterBatchChild(arguments[1])) return 1;
+    return RunBatchCommand(std::span(arguments).subspan(2));
+  }
   if (arguments.empty() || !IsServiceCommand(arguments[0])) {
     return Report({ErrorCode::kInvalidArgument, "strata-serve is started by `strata serve`"}, 0);
   }
   const std::span rest = std::span(arguments).subspan(1);
-  if (arguments[0] == "batch") {
-    int signal = 0;
-    const auto status = BatchMain(rest, signal);
-    return status ? *status : Report(status.error(), signal);
-  }
+  if (arguments[0] == "batch") return RunBatchCommand(rest);
   if (arguments[0] == "report") {
     const auto status = ReportMain(rest);
     return status ? *status : Report(status.error(), 0);

@@ -5,9 +5,6 @@
 #include <sys/wait.h>
 
 #include <algorithm>
-#include <chrono>
-#include <cstdio>
-#include <ctime>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <utility>
@@ -27,19 +24,6 @@ constexpr int kJobsOfAWorker = 500;
 constexpr std::uint64_t kGrownBytes = 160 * kMiB;
 constexpr int kTickMs = 50;
 constexpr int kPictureWidth = 320, kPictureHeight = 240;
-
-std::string Now() {
-  const auto now = std::chrono::system_clock::now().time_since_epoch();
-  const auto millis = std::chrono::duration_cast<std::chrono::milliseconds>(now).count();
-  const std::time_t seconds = millis / 1000;
-  std::tm utc{};
-  gmtime_r(&seconds, &utc);
-  char text[96];
-  std::snprintf(text, sizeof text, "%04d-%02d-%02dT%02d:%02d:%02d.%03dZ", utc.tm_year + 1900,
-                utc.tm_mon + 1, utc.tm_mday, utc.tm_hour, utc.tm_min, utc.tm_sec,
-                static_cast<int>(millis % 1000));
-  return text;
-}
 
 ManifestLine LineOf(const BatchTask& task) {
   ManifestLine line;
@@ -140,7 +124,7 @@ TaskOutcome BatchLane::Run(const BatchTask& task) {
   const auto model = shop_.source.Fetch(*task.model, shop_.gone);
   TaskOutcome outcome = model ? RunFetched(task, *model) : Failed(task, model.error());
   outcome.line.measured.seconds = watch.seconds();
-  outcome.line.measured.finished = Now();
+  outcome.line.measured.finished = InstantNow();
   return outcome;
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <iostream>
 #include <iterator>
@@ -22,10 +23,14 @@ Result<std::string> ReadList(const std::string& name) {
     text << std::cin.rdbuf();
     return text.str();
   }
+  std::error_code unknown;
+  if (std::filesystem::is_directory(name, unknown)) {
+    return Fail(ErrorCode::kInvalidArgument, name + ": found a folder, expected a list of models");
+  }
   std::ifstream file(name, std::ios::binary);
   if (!file) return Fail(ErrorCode::kNotFound, name + ": cannot be opened");
-  text << file.rdbuf();
-  if (file.bad()) return Fail(ErrorCode::kIo, name + ": cannot be read");
+  if (file.peek() != std::ifstream::traits_type::eof()) text << file.rdbuf();
+  if (file.bad() || !text) return Fail(ErrorCode::kIo, name + ": cannot be read");
   return text.str();
 }
 
@@ -58,6 +63,11 @@ Result<std::vector<ModelEntry>> Listed(const BatchCommand& command, ModelSource&
       return Fail(ErrorCode::kNotFound,
                   source.NameOf(path) + ": no such model; " + *command.list + " names it");
     }
+    if (IsHidden(path)) {
+      return Fail(
+          ErrorCode::kInvalidArgument,
+          source.NameOf(path) + ": hidden files are no models; " + *command.list + " names it");
+    }
     if (Takes(filter, path)) models.push_back(**std::move(found));
   }
   return models;
@@ -69,43 +79,34 @@ bool WillFailAgain(const std::string& type) {
          type == "empty-surface";
 }
 
-/// Looks models up in what former batches left.
-class Former {
- public:
-  Former(OutputPlace& outputs, Manifest& manifest, const std::vector<ManifestReader>& others)
-      : outputs_(outputs), manifest_(manifest), others_(others) {}
+/// Whether a line says what this version would say of a model with these options, but for its
+/// bytes: it was sampled and its output is there, or it failed and will again.
+Result<bool> StillHolds(const ManifestLine& line, const ModelOptions& options,
+                        OutputPlace& outputs) {
+  if (line.version != kVersion || line.options != options.json) return false;
+  if (!line.sampled) return WillFailAgain(line.error_type);
+  return outputs.IsThere(line.output, line.output_bytes);
+}
 
-  /// The line of a model that was sampled with these options by this version and whose output is
-  /// there; or of one that failed and will again. Whether its bytes are the same is still open.
-  Result<std::optional<ManifestLine>> Find(const ModelEntry& model, const ModelOptions& options) {
-    bool elsewhere = false;
-    auto line = manifest_.Find(model.path);
-    for (std::size_t i = 0; line && !*line && i < others_.size(); ++i) {
-      line = others_[i].Find(model.path);
-      elsewhere = line && line->has_value();
+/// The line of a model that need not be sampled again, unless its bytes have changed. One of
+/// another share is copied.
+Result<std::optional<ManifestLine>> FindDone(const ModelEntry& model, const ModelOptions& options,
+                                             const PlanPlaces& places) {
+  const auto lines = places.former.Of(model.path);
+  if (!lines) return Forward(lines);
+  for (const ManifestLine& line : *lines) {
+    const auto holds = StillHolds(line, options, places.outputs);
+    if (!holds) return Forward(holds);
+    if (!*holds || (line.sampled && IsOverruled(line, *lines))) continue;
+    const auto own = places.manifest.Find(model.path);
+    if (!own) return Forward(own);
+    if (!*own || (*own)->measured.finished != line.measured.finished) {
+      if (auto copied = places.manifest.Append(line); !copied) return Forward(copied);
     }
-    if (!line || !*line) return line;
-    const ManifestLine& found = **line;
-    if (found.version != kVersion || found.options != options.json) {
-      return std::optional<ManifestLine>();
-    }
-    if (!found.sampled && !WillFailAgain(found.error_type)) return std::optional<ManifestLine>();
-    if (found.sampled) {
-      const auto there = outputs_.IsThere(found.output, found.output_bytes);
-      if (!there) return Forward(there);
-      if (!*there) return std::optional<ManifestLine>();
-    }
-    if (elsewhere) {
-      if (auto copied = manifest_.Append(found); !copied) return Forward(copied);
-    }
-    return line;
+    return std::optional(line);
   }
-
- private:
-  OutputPlace& outputs_;
-  Manifest& manifest_;
-  const std::vector<ManifestReader>& others_;
-};
+  return std::optional<ManifestLine>();
+}
 
 std::string PictureName(const std::string& path) {
   return ".strata/pictures/" + io::Sha256Hex(path).substr(0, 32) + ".png";
@@ -117,7 +118,7 @@ bool IsShown(std::size_t i, std::size_t count, std::size_t pictures) {
   return (i + 1) * pictures / count != i * pictures / count;
 }
 
-Result<void> PlanModel(const BatchCommand& command, std::size_t index, Former& former,
+Result<void> PlanModel(const BatchCommand& command, std::size_t index, const PlanPlaces& places,
                        BatchPlan& plan) {
   const ModelEntry& model = plan.models[index];
   const auto options = plan.options->Of(model.path);
@@ -126,7 +127,7 @@ Result<void> PlanModel(const BatchCommand& command, std::size_t index, Former& f
   task.model = &model;
   task.options = *options;
   if (!command.force) {
-    const auto line = former.Find(model, **options);
+    const auto line = FindDone(model, **options, places);
     if (!line) return Forward(line);
     if (*line && (*line)->stamp == model.stamp && (*line)->input_bytes == model.size) {
       ++((*line)->sampled ? plan.tally.skipped : plan.tally.kept_failed);
@@ -162,20 +163,18 @@ double CostOf(const ModelEntry& model, const v1::SampleOptions& options) {
   return 1e-3 + bytes / 40e6 + std::min(cells, 1e9) / 1e6;
 }
 
-Result<BatchPlan> PlanBatch(const BatchCommand& command, ModelSource& source, OutputPlace& outputs,
-                            Manifest& manifest, const std::vector<ManifestReader>& others) {
-  auto models = command.list ? Listed(command, source) : source.List(command.filter);
+Result<BatchPlan> PlanBatch(const BatchCommand& command, const PlanPlaces& places) {
+  auto models = command.list ? Listed(command, places.source) : places.source.List(command.filter);
   if (!models) return Forward(models);
   BatchPlan plan;
   plan.models = *std::move(models);
   std::erase_if(plan.models,
                 [&](const ModelEntry& model) { return !InShare(model.path, command.share); });
   std::ranges::sort(plan.models, {}, &ModelEntry::path);
-  plan.options = std::make_unique<ModelOptionsFinder>(source, command.options);
+  plan.options = std::make_unique<ModelOptionsFinder>(places.source, command.options);
   plan.tally.models = plan.models.size();
-  Former former(outputs, manifest, others);
   for (std::size_t i = 0; i < plan.models.size(); ++i) {
-    if (auto planned = PlanModel(command, i, former, plan); !planned) return Forward(planned);
+    if (auto planned = PlanModel(command, i, places, plan); !planned) return Forward(planned);
   }
   return plan;
 }

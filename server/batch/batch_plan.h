@@ -8,6 +8,7 @@
 #include "core/result.h"
 #include "server/batch/batch_config.h"
 #include "server/batch/batch_progress.h"
+#include "server/batch/former_lines.h"
 #include "server/batch/manifest.h"
 #include "server/batch/places.h"
 #include "server/batch/schedule.h"
@@ -23,11 +24,17 @@ struct BatchPlan {
   double cost = 0;   ///< Of all tasks.
 };
 
-/// Lists the models and looks each up: first in `manifest`, which this batch writes, then in
-/// `others`, those of other shares, whose lines are copied. Errors: those of the places and of the
-/// options.
-Result<BatchPlan> PlanBatch(const BatchCommand& command, ModelSource& source, OutputPlace& outputs,
-                            Manifest& manifest, const std::vector<ManifestReader>& others);
+/// Where a plan looks.
+struct PlanPlaces {
+  ModelSource& source;
+  OutputPlace& outputs;
+  Manifest& manifest;  ///< That this batch writes.
+  const FormerLines& former;
+};
+
+/// Lists the models and looks each up in what former batches left; lines of other shares that still
+/// hold are copied into the manifest. Errors: those of the places and of the options.
+Result<BatchPlan> PlanBatch(const BatchCommand& command, const PlanPlaces& places);
 
 /// Whether a path belongs to a share. The same on every machine.
 bool InShare(const std::string& path, const ModelShare& share);

@@ -86,9 +86,10 @@ void BatchProgress::Add(End end, double cost, std::uint64_t samples, const std::
   tally_.samples += samples;
   if (end == End::kSampled) ++tally_.sampled;
   if (end == End::kSkipped) ++tally_.skipped;
-  if (end != End::kFailed) return;
-  ++tally_.failed;
+  if (end == End::kSampled || end == End::kSkipped) return;
   ++tally_.reasons[reason];
+  ++(end == End::kFailed ? tally_.failed : tally_.kept_failed);
+  if (end == End::kFailedBefore) return;
   Say("strata: " + Printable(path) + ": failed: " + reason + ": " +
       Printable(WithoutPath(message, path)));
 }

@@ -46,8 +46,9 @@ class BatchProgress {
 
   /// Work that is done or known before the first task. `cost` of all tasks.
   void Begin(const BatchTally& tally, double cost);
-  enum class End { kSampled, kSkipped, kFailed };
-  /// A model has come to its end; `reason` and `message` are of one that failed.
+  enum class End { kSampled, kSkipped, kFailed, kFailedBefore };
+  /// A model has come to its end; `reason` and `message` are of one that failed, which is said
+  /// unless a former batch has said it.
   void Add(End end, double cost, std::uint64_t samples, const std::string& path,
            const std::string& reason = {}, const std::string& message = {});
   void AddRetry(const std::string& path, const std::string& message);

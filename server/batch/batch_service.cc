@@ -387,8 +387,7 @@ void BatchService::Run(const std::string& id) {
 int BatchService::RunChild(const std::string& id, const v1::CreateBatchRequest& request) {
   BatchChildPlan plan;
   plan.log = PathOf(id) + "/log";
-  plan.arguments = {"batch",
-                    options_.models,
+  plan.arguments = {options_.models,
                     "--output=" + PathOf(id) + "/out",
                     "--quiet",
                     "--jobs=" + std::to_string(options_.jobs),

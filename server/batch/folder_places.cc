@@ -5,9 +5,11 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <string>
 #include <system_error>
 #include <utility>
@@ -44,17 +46,6 @@ fs::path Resolved(const std::string& path) {
 bool IsBelow(const fs::path& path, const fs::path& folder) {
   return std::mismatch(folder.begin(), folder.end(), path.begin(), path.end()).first ==
          folder.end();
-}
-
-bool IsPath(const std::string& path) {
-  if (path.empty() || path.find('\0') != path.npos) return false;
-  for (std::size_t begin = 0; begin <= path.size();) {
-    const std::size_t end = std::min(path.find('/', begin), path.size());
-    const std::string segment = path.substr(begin, end - begin);
-    if (segment.empty() || segment == "." || segment == "..") return false;
-    begin = end + 1;
-  }
-  return true;
 }
 
 std::string StampOf(const struct stat& status) {
@@ -101,10 +92,11 @@ class FolderSource final : public ModelSource {
   }
 
   Result<std::optional<ModelEntry>> Find(const std::string& path) override {
-    if (!IsPath(path)) return std::optional<ModelEntry>();
+    if (!IsModelPath(path)) return std::optional<ModelEntry>();
     struct stat status {};
     if (stat(Joined(folder_, path).c_str(), &status) != 0) {
-      if (errno == ENOENT || errno == ENOTDIR || errno == ELOOP) return std::optional<ModelEntry>();
+      constexpr std::array kNothing = {ENOENT, ENOTDIR, ELOOP, ENAMETOOLONG};
+      if (std::ranges::find(kNothing, errno) != kNothing.end()) return std::optional<ModelEntry>();
       return FailSystem(NameOf(path), errno);
     }
     if (!S_ISREG(status.st_mode) || !IsBelow(Resolved(Joined(folder_, path)), root_)) {
@@ -114,6 +106,8 @@ class FolderSource final : public ModelSource {
   }
 
   Result<LocalModel> Fetch(const ModelEntry& model, const std::function<bool()>&) override {
+    const auto fault = faults_.find(model.path);
+    if (fault != faults_.end()) return tl::unexpected<Error>(fault->second);
     return LocalModel{Joined(folder_, model.path), nullptr};
   }
 
@@ -121,7 +115,11 @@ class FolderSource final : public ModelSource {
     constexpr std::size_t kMost = std::size_t{1} << 20;
     const auto found = Find(path);
     if (!found) return Forward(found);
-    if (!*found) return std::optional<std::string>();
+    if (!*found) {
+      struct stat status {};
+      if (lstat(Joined(folder_, path).c_str(), &status) != 0) return std::optional<std::string>();
+      return tl::unexpected<Error>(NotRead(path, "found what is no file below " + folder_));
+    }
     if ((*found)->size > kMost) {
       return Fail(ErrorCode::kOverBudget, NameOf(path) + ": found " +
                                               std::to_string((*found)->size) +
@@ -138,6 +136,8 @@ class FolderSource final : public ModelSource {
   std::string NameOf(const std::string& path) const override { return Joined(folder_, path); }
 
  private:
+  /// What stands in a folder. Only the root has to be readable: of what is below it, that it cannot
+  /// be read is one model's failure.
   Result<void> ListFolder(const std::string& folder, const ModelFilter& filter,
                           std::vector<std::string>& folders, std::vector<ModelEntry>& models) {
     std::error_code failed;
@@ -148,23 +148,55 @@ class FolderSource final : public ModelSource {
       if (name.starts_with('.')) continue;
       const std::string path = folder.empty() ? name : folder + '/' + name;
       std::error_code unknown;
-      const fs::file_type type = at->symlink_status(unknown).type();
-      if (type == fs::file_type::directory) {
-        if (Resolved(at->path().string()) != outputs_) folders.push_back(path);
-      } else if (type == fs::file_type::regular && Takes(filter, path)) {
-        struct stat status {};
-        if (lstat(at->path().c_str(), &status) == 0) models.push_back(EntryOf(path, status));
-      } else if (type == fs::file_type::symlink && Takes(filter, path)) {
-        auto found = Find(path);
-        if (!found) return Forward(found);
-        if (*found) models.push_back(**std::move(found));
+      if (at->symlink_status(unknown).type() != fs::file_type::directory) {
+        if (Takes(filter, path)) ListFile(path, models);
+      } else if (!PassesOver(filter, path) && Resolved(at->path().string()) != outputs_) {
+        folders.push_back(path);
       }
     }
-    return failed ? Result<void>(FailSystem(place, failed.value())) : Result<void>();
+    if (!failed) return {};
+    auto fault = FailSystem(place, failed.value());
+    if (folder.empty()) return fault;
+    struct stat status {};  // Of one that is gone meanwhile, nothing needs to be said.
+    if (lstat(place.c_str(), &status) == 0) ListFault(folder, status, fault.value(), models);
+    return {};
+  }
+
+  /// A file, or what stands where one is expected.
+  void ListFile(const std::string& path, std::vector<ModelEntry>& models) {
+    struct stat status {};
+    if (lstat(Joined(folder_, path).c_str(), &status) != 0) return;  // It is gone meanwhile.
+    if (S_ISREG(status.st_mode)) return models.push_back(EntryOf(path, status));
+    if (!S_ISLNK(status.st_mode)) {
+      return ListFault(path, status, NotRead(path, "found a pipe, socket or device"), models);
+    }
+    auto found = Find(path);
+    if (!found) return ListFault(path, status, found.error(), models);
+    if (*found) return models.push_back(**std::move(found));
+    struct stat target {};
+    const bool leads = stat(Joined(folder_, path).c_str(), &target) == 0;
+    if (leads && S_ISDIR(target.st_mode)) return;  // Its models stand elsewhere, or not in REPO.
+    ListFault(path, status,
+              NotRead(path, leads ? "found a link that leads out of " + folder_
+                                  : "found a link that leads nowhere"),
+              models);
+  }
+
+  Error NotRead(const std::string& path, const std::string& found) const {
+    return {ErrorCode::kUnsupported, NameOf(path) + ": " + found + ", expected a file"};
+  }
+
+  /// Fetch will fail with `fault`, so that it stands in the manifest.
+  void ListFault(const std::string& path, const struct stat& status, Error fault,
+                 std::vector<ModelEntry>& models) {
+    faults_[path] = std::move(fault);
+    models.push_back(EntryOf(path, status));
+    models.back().size = 0;
   }
 
   const std::string folder_;
   const fs::path root_, outputs_;
+  std::map<std::string, Error> faults_;  // Of List; not changed later.
 };
 
 class FolderOutput final : public OutputPlace {
@@ -191,7 +223,7 @@ class FolderOutput final : public OutputPlace {
   Result<bool> IsThere(const std::string& output, std::uint64_t size) override {
     std::error_code failed;
     const fs::path path = Joined(folder_, output);
-    const fs::file_type type = fs::symlink_status(path, failed).type();
+    const fs::file_type type = fs::status(path, failed).type();  // Of a link, what is written to.
     if (type == fs::file_type::regular) return fs::file_size(path, failed) == size && !failed;
     if (type != fs::file_type::directory) return false;
     std::uint64_t bytes = 0;
@@ -252,8 +284,28 @@ class FolderOutput final : public OutputPlace {
 
 }  // namespace
 
+bool IsModelPath(std::string_view path) {
+  if (path.empty() || path.find('\0') != path.npos) return false;
+  for (std::size_t begin = 0; begin <= path.size();) {
+    const std::size_t end = std::min(path.find('/', begin), path.size());
+    const std::string_view segment = path.substr(begin, end - begin);
+    if (segment.empty() || segment == "." || segment == "..") return false;
+    begin = end + 1;
+  }
+  return true;
+}
+
+bool PassesOver(const ModelFilter& filter, std::string_view folder) {
+  return std::ranges::any_of(
+      filter.exclude, [folder](const std::string& glob) { return MatchesAllBelow(glob, folder); });
+}
+
+bool IsHidden(std::string_view path) {
+  return path.starts_with('.') || path.find("/.") != path.npos;
+}
+
 bool Takes(const ModelFilter& filter, std::string_view path) {
-  if (path.starts_with('.') || path.find("/.") != path.npos) return false;
+  if (IsHidden(path)) return false;
   if (!filter.all && !io::HasMeshSuffix(path)) return false;
   const auto matches = [path](const std::string& glob) { return MatchesGlob(glob, path); };
   if (std::ranges::any_of(filter.exclude, matches)) return false;

@@ -10,7 +10,7 @@ namespace strata::server {
 
 /// The models below a folder. Hidden files and folders are passed over, and so is the folder
 /// `outputs`, should it lie inside. A symbolic link to a file is followed if that lies below the
-/// folder, too; one to a folder is not, so that no loop can be.
+/// folder, too, else it is a model that fails; one to a folder is not, so that no loop can be.
 /// Errors: kNotFound, kInvalidArgument (no folder, or `outputs` is the folder itself or holds it).
 Result<std::unique_ptr<ModelSource>> OpenFolderSource(const std::string& folder,
                                                       const std::string& outputs);

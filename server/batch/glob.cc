@@ -89,10 +89,7 @@ void PassStars(const std::vector<Token>& tokens, std::vector<char>& reached, boo
   }
 }
 
-}  // namespace
-
-bool MatchesGlob(std::string_view glob, std::string_view path) {
-  if (glob.find('/') == glob.npos) path.remove_prefix(path.rfind('/') + 1);
+bool MatchesWhole(std::string_view glob, std::string_view path) {
   const std::vector<Token> tokens = Tokens(glob);
   std::vector<char> reached(tokens.size() + 1, false), next;
   reached[0] = true;
@@ -106,6 +103,49 @@ bool MatchesGlob(std::string_view glob, std::string_view path) {
     reached.swap(next);
   }
   return reached.back();
+}
+
+/// A glob, and where it is to match.
+struct Pattern {
+  std::string_view glob;  // Without what says where.
+  bool anywhere = false;  // In any folder, rather than from the root on.
+};
+
+/// Takes "./" and "/" from the front, which bind to the root, and '/' from the end.
+Pattern PatternOf(std::string_view glob) {
+  bool from_root = false;
+  while (glob.starts_with("./") || glob.starts_with('/')) {
+    glob.remove_prefix(glob.starts_with('/') ? 1 : 2);
+    from_root = true;
+  }
+  while (glob.ends_with('/')) glob.remove_suffix(1);
+  return {glob, !from_root && glob.find('/') == glob.npos};
+}
+
+bool MatchesFolder(const Pattern& pattern, std::string_view folder) {
+  if (pattern.anywhere) folder.remove_prefix(folder.rfind('/') + 1);
+  return !pattern.glob.empty() && MatchesWhole(pattern.glob, folder);
+}
+
+}  // namespace
+
+bool MatchesGlob(std::string_view glob, std::string_view path) {
+  const Pattern pattern = PatternOf(glob);
+  if (!glob.ends_with('/')) return MatchesFolder(pattern, path);
+  for (std::size_t end = path.find('/'); end != path.npos; end = path.find('/', end + 1)) {
+    if (MatchesFolder(pattern, path.substr(0, end))) return true;
+  }
+  return false;
+}
+
+bool MatchesAllBelow(std::string_view glob, std::string_view folder) {
+  constexpr std::string_view kAll = "/**";
+  if (glob.ends_with('/')) return MatchesFolder(PatternOf(glob), folder);
+  if (!glob.ends_with(kAll)) return false;
+  // What is left of "a/**" begins at the root, also without a '/'.
+  Pattern pattern = PatternOf(glob.substr(0, glob.size() - kAll.size()));
+  pattern.anywhere = false;
+  return MatchesFolder(pattern, folder);
 }
 
 }  // namespace strata::server

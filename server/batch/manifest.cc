@@ -1,16 +1,24 @@
 #include "server/batch/manifest.h"
 
 #include <fcntl.h>
+#include <signal.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <cerrno>
+#include <chrono>
+#include <cstdio>
+#include <ctime>
 #include <utility>
 
+#include "core/signal_shield.h"
 #include "io/atomic_file.h"
 #include "io/output_place.h"
+#include "io/sample_writer.h"
+#include "server/batch/bucket_output.h"
 #include "server/batch/names.h"
+#include "server/batch/places.h"
 
 namespace strata::server {
 namespace {
@@ -35,58 +43,131 @@ void PutResult(const ManifestLine& line, Json& json) {
   if (!line.picture.empty()) json["picture"] = line.picture;
 }
 
+// --- Lines from outside: a manifest lies beside outputs, where others may write ------------------
+
+/// What a line says that no batch writes.
+struct NotOurs {
+  std::string why;
+};
+
+/// A whole number that fits: the library's own conversions are not defined for others.
+std::uint64_t Count(const Json& json, const char* key) {
+  const Json& value = json.at(key);
+  if (!value.is_number_unsigned()) throw NotOurs{std::string(key) + " is no whole number"};
+  return value.get<std::uint64_t>();
+}
+
+double Measure(const Json& json, const char* key) {
+  const Json& value = json.at(key);
+  if (!value.is_number()) throw NotOurs{std::string(key) + " is no number"};
+  return value.get<double>();
+}
+
+/// How deep the brackets of a JSON text go: what writes it anew calls itself for each of them.
+std::size_t DepthOf(std::string_view text) {
+  std::size_t depth = 0, most = 0;
+  bool quoted = false;
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const char c = text[i];
+    if (c == '"') quoted = !quoted;
+    if (quoted && c == '\\') ++i;
+    if (quoted) continue;
+    if (c == '{' || c == '[') most = std::max(most, ++depth);
+    if ((c == '}' || c == ']') && depth > 0) --depth;
+  }
+  return most;
+}
+
+/// Outputs are replaced and removed by the names that stand here: only such as a batch gives.
+void CheckNames(const ManifestLine& line) {
+  if (!IsModelPath(line.path)) throw NotOurs{"path is none below a folder"};
+  if (!line.sampled) return;
+  const std::string start = line.path + '.';
+  const bool of_path = line.output.starts_with(start) &&
+                       line.output.find_first_of("./", start.size()) == line.output.npos &&
+                       io::SampleFormatFromPath(line.output).has_value();
+  if (!of_path) throw NotOurs{"output is not the path with the suffix of a format"};
+  if (!line.picture.empty() && !IsBatchPicture(line.picture)) {
+    throw NotOurs{"picture is not the name of one"};
+  }
+}
+
 void GetResult(const Json& json, ManifestLine& line) {
   line.output = GetName(json, "output");
-  json.at("output_bytes").get_to(line.output_bytes);
+  line.output_bytes = Count(json, "output_bytes");
   json.at("output_sha256").get_to(line.output_sha256);
-  json.at("samples").get_to(line.samples);
-  json.at("cells").get_to(line.cells);
-  json.at("edge").get_to(line.edge);
-  json.at("triangles").get_to(line.triangles);
-  json.at("area").get_to(line.area);
-  json.at("skipped").get_to(line.skipped);
+  line.samples = Count(json, "samples");
+  line.cells = Count(json, "cells");
+  line.edge = Measure(json, "edge");
+  line.triangles = Count(json, "triangles");
+  line.area = Measure(json, "area");
+  for (const auto& [reason, count] : json.at("skipped").items()) {
+    line.skipped[reason] = Count(json.at("skipped"), reason.c_str());
+  }
   json.at("surface_hash").get_to(line.surface_hash);
   line.picture = json.value("picture", "");
+}
+
+void GetMeasured(const Json& json, ManifestLine::Measured& measured) {
+  measured.seconds = Measure(json, "seconds");
+  measured.peak_memory_bytes = Count(json, "peak_memory_bytes");
+  measured.worker = static_cast<std::int64_t>(Count(json, "worker"));
+  measured.attempts = static_cast<int>(std::min<std::uint64_t>(Count(json, "attempts"), 1000));
+  json.at("finished").get_to(measured.finished);
 }
 
 ManifestLine LineOf(const Json& json) {
   ManifestLine line;
   line.path = GetName(json, "path");
   line.sampled = json.at("status") == "sampled";
-  json.at("input_sha256").get_to(line.input_sha256);
-  json.at("input_bytes").get_to(line.input_bytes);
-  json.at("stamp").get_to(line.stamp);
-  json.at("version").get_to(line.version);
-  line.options = json.at("options").dump();
+  line.gone = json.at("status") == "gone";
+  GetMeasured(json.at("measured"), line.measured);
+  if (!line.gone) {
+    json.at("input_sha256").get_to(line.input_sha256);
+    line.input_bytes = Count(json, "input_bytes");
+    json.at("stamp").get_to(line.stamp);
+    json.at("version").get_to(line.version);
+    line.options = json.at("options").dump();
+  }
   if (line.sampled) {
     GetResult(json, line);
-  } else {
+  } else if (!line.gone) {
     json.at("error").at("type").get_to(line.error_type);
     json.at("error").at("message").get_to(line.error_message);
   }
-  const Json& measured = json.at("measured");
-  measured.at("seconds").get_to(line.measured.seconds);
-  measured.at("peak_memory_bytes").get_to(line.measured.peak_memory_bytes);
-  measured.at("worker").get_to(line.measured.worker);
-  measured.at("attempts").get_to(line.measured.attempts);
-  measured.at("finished").get_to(line.measured.finished);
+  CheckNames(line);
   return line;
 }
 
 }  // namespace
 
+std::string InstantNow() {
+  const auto now = std::chrono::system_clock::now().time_since_epoch();
+  const auto millis = std::chrono::duration_cast<std::chrono::milliseconds>(now).count();
+  const std::time_t seconds = millis / 1000;
+  std::tm utc{};
+  gmtime_r(&seconds, &utc);
+  char text[96];
+  std::snprintf(text, sizeof text, "%04d-%02d-%02dT%02d:%02d:%02d.%03dZ", utc.tm_year + 1900,
+                utc.tm_mon + 1, utc.tm_mday, utc.tm_hour, utc.tm_min, utc.tm_sec,
+                static_cast<int>(millis % 1000));
+  return text;
+}
+
 std::string ToJsonLine(const ManifestLine& line) {
   Json json;
   PutName(json, "path", line.path);
-  json["status"] = line.sampled ? "sampled" : "failed";
-  json["input_sha256"] = line.input_sha256;
-  json["input_bytes"] = line.input_bytes;
-  json["stamp"] = line.stamp;
-  json["version"] = line.version;
-  json["options"] = Json::parse(line.options);
+  json["status"] = line.gone ? "gone" : line.sampled ? "sampled" : "failed";
+  if (!line.gone) {
+    json["input_sha256"] = line.input_sha256;
+    json["input_bytes"] = line.input_bytes;
+    json["stamp"] = line.stamp;
+    json["version"] = line.version;
+    json["options"] = Json::parse(line.options);
+  }
   if (line.sampled) {
     PutResult(line, json);
-  } else {
+  } else if (!line.gone) {
     json["error"] = {{"type", line.error_type}, {"message", AsUtf8(line.error_message)}};
   }
   json["measured"] = {{"seconds", line.measured.seconds},
@@ -98,10 +179,14 @@ std::string ToJsonLine(const ManifestLine& line) {
 }
 
 Result<ManifestLine> FromJsonLine(std::string_view text) {
+  constexpr std::size_t kMostDepth = 32;
   try {
+    if (DepthOf(text) > kMostDepth) throw NotOurs{"brackets in brackets without end"};
     return LineOf(Json::parse(text));
   } catch (const Json::exception& error) {
     return Fail(ErrorCode::kCorruptInput, std::string("no line of a manifest: ") + error.what());
+  } catch (const NotOurs& fault) {
+    return Fail(ErrorCode::kCorruptInput, "no line of a manifest: " + fault.why);
   }
 }
 
@@ -164,6 +249,12 @@ Result<std::optional<ManifestLine>> ManifestReader::Find(const std::string& path
   return std::optional(*std::move(line));
 }
 
+std::vector<std::string> ManifestReader::Paths() const {
+  std::vector<std::string> paths;
+  for (const auto& [path, place] : places_) paths.push_back(path);
+  return paths;
+}
+
 Result<void> ManifestReader::ForEach(
     const std::function<Result<void>(ManifestLine&&)>& take) const {
   for (const auto& [path, place] : places_) {
@@ -219,6 +310,7 @@ void Manifest::SyncNowAndThen() {
 Result<void> Manifest::Append(const ManifestLine& line) {
   const std::string text = ToJsonLine(line) + '\n';
   const std::lock_guard lock(mutex_);
+  const SignalShield shield({SIGXFSZ});  // A limit of files' sizes is an error here, not an end.
   std::size_t done = 0;
   while (done < text.size()) {
     const ssize_t n = pwrite(reader_.file_.get(), text.data() + done, text.size() - done,
@@ -247,9 +339,7 @@ Result<std::optional<ManifestLine>> Manifest::Find(const std::string& path) cons
 
 std::vector<std::string> Manifest::Paths() const {
   const std::lock_guard lock(mutex_);
-  std::vector<std::string> paths;
-  for (const auto& [path, place] : reader_.places_) paths.push_back(path);
-  return paths;
+  return reader_.Paths();
 }
 
 void Manifest::Forget(const std::string& path) {

@@ -22,6 +22,8 @@ namespace strata::server {
 struct ManifestLine {
   std::string path;
   bool sampled = false;
+  bool gone =
+      false;  ///< Pruned, where a manifest of another share still has a line. No more is set.
   std::string input_sha256;
   std::uint64_t input_bytes = 0;
   std::string stamp;    ///< ModelEntry::stamp.
@@ -51,9 +53,14 @@ struct ManifestLine {
   } measured;
 };
 
+/// Now, as ManifestLine::Measured::finished has it.
+std::string InstantNow();
+
 /// The line without its end.
 std::string ToJsonLine(const ManifestLine& line);
-/// Errors: kCorruptInput, without a name of the file.
+/// Only what ToJsonLine could have written is one: names of outputs and pictures are those of the
+/// path, so that whoever may write into a folder of outputs has no batch replace or remove other
+/// files. Errors: kCorruptInput, without a name of the file.
 Result<ManifestLine> FromJsonLine(std::string_view text);
 
 /// A manifest file: by path, the last line of each. Keeps the lines' places, not the lines.
@@ -68,6 +75,9 @@ class ManifestReader {
   /// In order of the paths' bytes. `take` may end it with an error of its own.
   Result<void> ForEach(const std::function<Result<void>(ManifestLine&&)>& take) const;
   std::size_t size() const { return places_.size(); }
+  bool Has(const std::string& path) const { return places_.contains(path); }
+  /// In order of their bytes.
+  std::vector<std::string> Paths() const;
 
  private:
   friend class Manifest;

@@ -12,14 +12,6 @@
 namespace strata::server {
 namespace {
 
-/// The secrets go no further than this process: workers, which read what strangers wrote, do
-/// without.
-Result<S3Config> ReadConfig(bool insecure) {
-  Result<S3Config> config = LoadS3Config(std::getenv, insecure);
-  if (config) ForgetCredentialVariables();
-  return config;
-}
-
 Result<std::unique_ptr<OutputPlace>> OpenOutput(const BatchCommand& command, const S3Config& config,
                                                 const std::string& state) {
   if (!IsS3Url(command.output)) return OpenFolderOutput(command.output);
@@ -40,10 +32,13 @@ Result<Places> OpenPlaces(const BatchCommand& command) {
   S3Config config;
   std::string state = command.output;
   if (IsS3Url(command.repository) || IsS3Url(command.output)) {
-    Result<S3Config> read = ReadConfig(command.s3_insecure);
+    Result<S3Config> read = LoadS3Config(std::getenv, command.s3_insecure);
     if (!read) return Forward(read);
     config = std::move(*read);
   }
+  // The secrets go no further than this process, also those that it does not need: workers, which
+  // read what strangers wrote, do without.
+  ForgetCredentialVariables();
   if (IsS3Url(command.output)) {
     Result<std::string> usual =
         command.state ? Result<std::string>(*command.state)

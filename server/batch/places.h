@@ -33,6 +33,12 @@ struct ModelFilter {
 
 /// Whether the filter takes a path. Files and folders whose names begin with '.' are never models.
 bool Takes(const ModelFilter& filter, std::string_view path);
+/// Whether a glob of the filter leaves out whatever lies below a folder.
+bool PassesOver(const ModelFilter& filter, std::string_view folder);
+/// Whether a part of the path begins with '.'.
+bool IsHidden(std::string_view path);
+/// Whether it is a path as ModelEntry::path is: one that stays below its place.
+bool IsModelPath(std::string_view path);
 
 /// A model that can be read as a local file, as long as this lives.
 struct LocalModel {
@@ -45,7 +51,9 @@ class ModelSource {
  public:
   virtual ~ModelSource() = default;
 
-  /// All models that the filter takes, in any order. Errors: kNotFound, kIo.
+  /// All models that the filter takes, in any order. What cannot be read is among them (a folder
+  /// that may not be opened, a link that leads nowhere): Fetch then says why, so that it is not
+  /// passed over in silence. Errors: kNotFound, kIo, of the place itself.
   virtual Result<std::vector<ModelEntry>> List(const ModelFilter& filter) = 0;
   /// The file of this path; nothing if there is none, or none that can be a model (a folder, a link
   /// out of the place). Errors: kIo.

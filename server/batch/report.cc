@@ -112,6 +112,7 @@ Result<Report> ReadReport(const std::vector<std::string>& folders) {
     }
   }
   for (auto& [path, row] : rows) {
+    if (row.line.gone) continue;
     Count(row.line, report);
     report.rows.push_back(std::move(row));
   }

@@ -13,6 +13,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <thread>
 #include <utility>
 
@@ -20,6 +21,7 @@
 #include "io/output_place.h"
 #include "server/batch/batch_lane.h"
 #include "server/batch/batch_plan.h"
+#include "server/batch/former_lines.h"
 #include "server/batch/open_places.h"
 #include "server/batch/owner.h"
 
@@ -40,22 +42,6 @@ std::string ProgressPath(const std::string& state, const ModelShare& share) {
 Result<void> MakeFolder(const std::string& path) {
   if (mkdir(path.c_str(), 0777) == 0 || errno == EEXIST) return {};
   return Fail(ErrorCode::kIo, path + ": " + io::SystemReason(errno));
-}
-
-/// The manifests of other shares in the same folder, or of a batch of another number of shares.
-Result<std::vector<ManifestReader>> OtherManifests(const std::string& state,
-                                                   const std::string& own) {
-  std::vector<ManifestReader> others;
-  std::error_code failed;
-  for (std::filesystem::directory_iterator at(state, failed), end; !failed && at != end;
-       at.increment(failed)) {
-    const std::string name = at->path().filename().string();
-    if (name == own || !name.starts_with("manifest") || !name.ends_with(".jsonl")) continue;
-    auto reader = ManifestReader::Open(at->path().string());
-    if (!reader) return Forward(reader);
-    others.push_back(*std::move(reader));
-  }
-  return others;
 }
 
 /// Says in a file how far a batch is: for the service, and whoever looks. Not durable, and no
@@ -87,9 +73,11 @@ class ProgressFile {
 /// One run of a batch, from its lanes' start to their end.
 class Batch {
  public:
-  Batch(BatchShop shop, Manifest& manifest, BatchPlan& plan, BatchProgress& progress)
+  Batch(BatchShop shop, Manifest& manifest, const FormerLines& former, BatchPlan& plan,
+        BatchProgress& progress)
       : shop_(std::move(shop)),
         manifest_(manifest),
+        former_(former),
         progress_(progress),
         file_(progress, ProgressPath(shop_.state, shop_.command.share)),
         schedule_(std::exchange(plan.tasks, {})) {
@@ -157,37 +145,50 @@ class Batch {
       schedule_.Retry(task);
       return {};
     }
-    auto noted = Write(task, outcome);
+    const bool unchanged = outcome.kind == TaskOutcome::Kind::kUnchanged;
+    auto noted = unchanged ? KeepLine(task) : Write(line);
     schedule_.End(task);
-    if (!noted) return noted;
-    if (outcome.kind == TaskOutcome::Kind::kUnchanged) {
-      progress_.Add(BatchProgress::End::kSkipped, task.cost, 0, line.path);
-    } else if (outcome.kind == TaskOutcome::Kind::kSampled) {
-      progress_.Add(BatchProgress::End::kSampled, task.cost, line.samples, line.path);
-    } else {
-      progress_.Add(BatchProgress::End::kFailed, task.cost, 0, line.path, line.error_type,
-                    line.error_message);
-    }
+    if (!noted) return Forward(noted);
+    Count(task, *noted, unchanged);
     return {};
   }
 
-  /// The line, and what a former line of this model named and this one does not: no output stands
-  /// there that is not the one of these bytes and options.
-  Result<void> Write(const BatchTask& task, const TaskOutcome& outcome) {
-    const auto former = manifest_.Find(task.model->path);
+  /// What a former batch made of the same bytes counts on, a failure too.
+  void Count(const BatchTask& task, const ManifestLine& line, bool unchanged) {
+    using End = BatchProgress::End;
+    if (line.sampled) {
+      const std::uint64_t samples = unchanged ? 0 : line.samples;
+      progress_.Add(unchanged ? End::kSkipped : End::kSampled, task.cost, samples, line.path);
+    } else {
+      progress_.Add(unchanged ? End::kFailedBefore : End::kFailed, task.cost, 0, line.path,
+                    line.error_type, line.error_message);
+    }
+  }
+
+  /// The line of a model whose bytes have not changed, with what tells that the next time without
+  /// reading them.
+  Result<ManifestLine> KeepLine(const BatchTask& task) {
+    auto former = manifest_.Find(task.model->path);
     if (!former) return Forward(former);
-    if (outcome.kind == TaskOutcome::Kind::kUnchanged) {
-      if (!*former) return {};
-      ManifestLine line = **former;
-      line.stamp = task.model->stamp;
-      line.input_bytes = task.model->size;
-      return manifest_.Append(line);
+    if (!*former) return Fail(ErrorCode::kInternal, task.model->path + ": its line is gone");
+    ManifestLine line = **std::move(former);
+    line.stamp = task.model->stamp;
+    line.input_bytes = task.model->size;
+    if (auto appended = manifest_.Append(line); !appended) return Forward(appended);
+    return line;
+  }
+
+  /// The line, and what former lines of this model named and this one does not: no output stands
+  /// there that is not the one of these bytes and options.
+  Result<ManifestLine> Write(const ManifestLine& line) {
+    const auto former = former_.Of(line.path);
+    if (!former) return Forward(former);
+    for (const ManifestLine& each : *former) {
+      if (!each.sampled || each.output == line.output) continue;
+      if (auto removed = shop_.outputs.Remove(each.output); !removed) return Forward(removed);
     }
-    const bool outdated = *former && (*former)->sampled && (*former)->output != outcome.line.output;
-    if (outdated) {
-      if (auto removed = shop_.outputs.Remove((*former)->output); !removed) return removed;
-    }
-    return manifest_.Append(outcome.line);
+    if (auto appended = manifest_.Append(line); !appended) return Forward(appended);
+    return line;
   }
 
   void SaveNowAndThen() {
@@ -204,6 +205,7 @@ class Batch {
 
   BatchShop shop_;
   Manifest& manifest_;
+  const FormerLines& former_;
   BatchProgress& progress_;
   ProgressFile file_;
   Schedule schedule_;
@@ -215,40 +217,94 @@ class Batch {
   Result<void> outcome_;
 };
 
-/// Removes the outputs of models that are gone. Returns how many.
-Result<std::uint64_t> Prune(const ModelShare& share, ModelSource& source, OutputPlace& outputs,
-                            Manifest& manifest, const std::string& state) {
+/// What a batch works with.
+struct Parts {
+  const BatchCommand& command;
+  Places& places;
+  const std::string& state;
+  Manifest& manifest;
+  const FormerLines& former;
+};
+
+/// The outputs and pictures of one model: as many as were there. What has another size than a line
+/// says is none that it speaks of.
+Result<std::uint64_t> RemoveOutputs(const Parts& batch, const std::string& path) {
+  const auto lines = batch.former.Of(path);
+  if (!lines) return Forward(lines);
+  std::uint64_t removed = 0;
+  for (const ManifestLine& line : *lines) {
+    std::error_code ignored;
+    if (!line.picture.empty()) std::filesystem::remove(batch.state + '/' + line.picture, ignored);
+    if (!line.sampled) continue;
+    const auto there = batch.places.outputs->IsThere(line.output, line.output_bytes);
+    if (!there) return Forward(there);
+    if (!*there) continue;
+    if (auto done = batch.places.outputs->Remove(line.output); !done) return Forward(done);
+    ++removed;
+  }
+  return removed;
+}
+
+/// The paths of models that are gone. One of which that cannot be told is kept.
+std::vector<std::string> GoneModels(const Parts& batch, std::span<const ModelEntry> listed) {
+  std::vector<std::string> gone;
+  for (std::string& path : batch.former.Paths()) {
+    if (!InShare(path, batch.command.share)) continue;
+    // Also what is listed only to fail is there.
+    if (std::ranges::binary_search(listed, path, {}, &ModelEntry::path)) continue;
+    const auto model = batch.places.models->Find(path);
+    if (model && !*model) gone.push_back(std::move(path));
+  }
+  return gone;
+}
+
+/// How many models of this share have been heard of.
+std::size_t CountOfShare(const Parts& batch) {
+  const auto paths = batch.former.Paths();
+  return static_cast<std::size_t>(std::ranges::count_if(
+      paths, [&](const std::string& path) { return InShare(path, batch.command.share); }));
+}
+
+/// Removes the outputs of models that are gone; `listed` are those that are there, in order of
+/// their paths. Returns how many.
+Result<std::uint64_t> Prune(const Parts& batch, std::span<const ModelEntry> listed) {
+  const std::vector<std::string> gone = GoneModels(batch, listed);
+  if (listed.empty() && !gone.empty() && gone.size() == CountOfShare(batch)) {
+    return Fail(ErrorCode::kNotFound,
+                batch.command.repository + ": holds none of the " + std::to_string(gone.size()) +
+                    " models that were sampled; is it the right place, and mounted? --prune "
+                    "removes nothing");
+  }
   std::uint64_t pruned = 0;
-  for (const std::string& path : manifest.Paths()) {
-    if (!InShare(path, share)) continue;
-    const auto model = source.Find(path);
-    if (!model) return Forward(model);
-    if (*model) continue;
-    const auto line = manifest.Find(path);
-    if (!line) return Forward(line);
-    if ((*line)->sampled) {
-      if (auto removed = outputs.Remove((*line)->output); !removed) return Forward(removed);
-      ++pruned;
+  for (const std::string& path : gone) {
+    const auto removed = RemoveOutputs(batch, path);
+    if (!removed) return Forward(removed);
+    pruned += *removed;
+    if (!batch.former.IsElsewhere(path)) {
+      batch.manifest.Forget(path);
+      continue;
     }
-    if (!(*line)->picture.empty()) {
-      std::error_code ignored;
-      std::filesystem::remove(state + '/' + (*line)->picture, ignored);
-    }
-    manifest.Forget(path);
+    // The other manifest, which is another share's to write, keeps its line: this one takes its
+    // place.
+    ManifestLine line;
+    line.path = path;
+    line.gone = true;
+    line.measured.finished = InstantNow();
+    if (auto appended = batch.manifest.Append(line); !appended) return Forward(appended);
   }
   return pruned;
 }
 
-Result<void> Sample(const BatchCommand& command, Places& places, const std::string& state,
-                    Manifest& manifest, BatchProgress& progress, RunContext& context) {
-  const auto others = OtherManifests(state, ManifestName(command.share));
-  if (!others) return Forward(others);
-  auto plan = PlanBatch(command, *places.models, *places.outputs, manifest, *others);
-  if (!plan) return Forward(plan);
-  progress.Begin(plan->tally, plan->cost);
+Result<void> Sample(const Parts& batch, BatchPlan& plan, BatchProgress& progress,
+                    RunContext& context) {
+  const auto& [command, places, state, manifest, former] = batch;
+  auto planned = PlanBatch(command, {*places.models, *places.outputs, manifest, former});
+  if (!planned) return Forward(planned);
+  plan = *std::move(planned);
+  progress.Begin(plan.tally, plan.cost);
   std::vector<const ModelEntry*> order;
   for (const bool whole : {true, false}) {
-    for (const BatchTask& task : plan->tasks) {
+    for (const BatchTask& task : plan.tasks) {
       if (task.whole_machine == whole) order.push_back(task.model);
     }
   }
@@ -264,7 +320,7 @@ Result<void> Sample(const BatchCommand& command, Places& places, const std::stri
   shop.small_threads = std::max<std::uint32_t>(
       1,
       command.jobs / static_cast<std::uint32_t>(std::min<std::size_t>(order.size(), command.jobs)));
-  return Batch(std::move(shop), manifest, *plan, progress).Run(context);
+  return Batch(std::move(shop), manifest, former, plan, progress).Run(context);
 }
 
 }  // namespace
@@ -281,7 +337,11 @@ Result<BatchTally> RunBatch(const BatchCommand& command, RunContext& context) {
   auto manifest = Manifest::Open(*state + '/' + ManifestName(command.share));
   if (!manifest) return Forward(manifest);
   BatchProgress progress(command.quiet, std::chrono::seconds(command.progress_seconds));
-  auto sampled = Sample(command, *places, *state, **manifest, progress, context);
+  const auto former = FormerLines::Open(*state, ManifestName(command.share), **manifest);
+  if (!former) return Forward(former);
+  const Parts batch = {command, *places, *state, **manifest, *former};
+  BatchPlan plan;
+  auto sampled = Sample(batch, plan, progress, context);
   progress.Stop();
   if (!sampled) {
     // What was finished is kept where it belongs, too.
@@ -289,7 +349,7 @@ Result<BatchTally> RunBatch(const BatchCommand& command, RunContext& context) {
     return Forward(sampled);
   }
   if (command.prune) {
-    const auto pruned = Prune(command.share, *places->models, *places->outputs, **manifest, *state);
+    const auto pruned = Prune(batch, plan.models);
     if (!pruned) return Forward(pruned);
     progress.SetPruned(*pruned);
   }

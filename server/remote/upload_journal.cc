@@ -25,11 +25,13 @@ Result<std::unique_ptr<UploadJournal>> UploadJournal::Open(const std::string& pa
   journal->path_ = path;
   std::ifstream file(path);
   std::vector<std::string> open;
-  for (std::string line; std::getline(file, line) && !file.eof();) {
+  std::string line;
+  for (; std::getline(file, line) && !file.eof(); line.clear()) {
     const std::string entry = line.substr(std::min<std::size_t>(line.size(), 6));
     if (line.starts_with("begin ")) open.push_back(entry);
     if (line.starts_with("ended ")) std::erase(open, entry);
   }
+  journal->torn_ = !open.empty() && !line.empty();
   for (const std::string& entry : open) {
     std::istringstream words(entry);
     std::string bucket, key, id;
@@ -62,7 +64,9 @@ Result<int> UploadJournal::AbortLeftovers(S3Client& client) {
 Result<void> UploadJournal::Append(const std::string& line) {
   const std::lock_guard lock(mutex_);
   std::uint64_t written = 0;
-  int error = io::WriteAll(file_.get(), line + '\n', written);
+  // A part of a line may stand at the end, of one that was killed or of a disk that was full.
+  int error = io::WriteAll(file_.get(), (torn_ ? "\n" : "") + line + '\n', written);
+  torn_ = error != 0;
   if (error == 0 && fdatasync(file_.get()) != 0) error = errno;
   if (error == 0) return {};
   return Fail(ErrorCode::kIo,

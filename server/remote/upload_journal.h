@@ -45,7 +45,9 @@ class UploadJournal : public UploadLog {
   std::string path_;
   std::vector<Entry> leftovers_;
   std::mutex mutex_;
-  io::Fd file_;  // Guarded by mutex_.
+  // Guarded by mutex_:
+  io::Fd file_;
+  bool torn_ = false;  // The file may end in the middle of a line.
 };
 
 }  // namespace strata::server

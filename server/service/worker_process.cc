@@ -5,7 +5,6 @@
 #include <google/protobuf/util/delimited_message_util.h>
 #include <poll.h>
 #include <signal.h>
-#include <spawn.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -15,56 +14,17 @@
 #include <utility>
 
 #include "io/output_place.h"
+#include "server/service/spawn_plan.h"
 #include "server/service/worker.h"
 
 namespace strata::server {
 namespace {
 
+constexpr std::size_t kMostEventBytes = std::size_t{16} << 20;
+
 tl::unexpected<Error> SystemFailure(const std::string& what, int error) {
   return Fail(ErrorCode::kIo, what + ": " + io::SystemReason(error));
 }
-
-/// Above the numbers that the child gets, so that none is overwritten before it is copied.
-io::Fd OutOfTheWay(int fd) { return io::Fd(fcntl(fd, F_DUPFD_CLOEXEC, 16)); }
-
-/// Attributes and actions of a child's start.
-class SpawnPlan {
- public:
-  SpawnPlan() {
-    posix_spawn_file_actions_init(&actions_);
-    posix_spawnattr_init(&attributes_);
-    sigset_t none, usual;
-    sigemptyset(&none);
-    sigemptyset(&usual);
-    sigaddset(&usual, SIGPIPE);
-    posix_spawnattr_setsigmask(&attributes_, &none);
-    posix_spawnattr_setsigdefault(&attributes_, &usual);
-    // A group of its own: Ctrl-C in the parent's terminal is the parent's to handle.
-    posix_spawnattr_setpgroup(&attributes_, 0);
-    posix_spawnattr_setflags(
-        &attributes_, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF | POSIX_SPAWN_SETPGROUP);
-  }
-  ~SpawnPlan() {
-    posix_spawnattr_destroy(&attributes_);
-    posix_spawn_file_actions_destroy(&actions_);
-  }
-  SpawnPlan(const SpawnPlan&) = delete;
-  SpawnPlan& operator=(const SpawnPlan&) = delete;
-
-  void Give(const io::Fd& fd, int number) {
-    if (fd) posix_spawn_file_actions_adddup2(&actions_, fd.get(), number);
-  }
-  /// Returns 0 or an errno.
-  int Run(pid_t& id) {
-    std::string name = "strata", command = kWorkerCommand;
-    std::array<char*, 3> arguments = {name.data(), command.data(), nullptr};
-    return posix_spawn(&id, "/proc/self/exe", &actions_, &attributes_, arguments.data(), environ);
-  }
-
- private:
-  posix_spawn_file_actions_t actions_;
-  posix_spawnattr_t attributes_;
-};
 
 }  // namespace
 
@@ -94,7 +54,7 @@ int WorkerProcess::Spawn(int socket, int mesh, int result) {
   plan.Give(socket_copy, 1);
   plan.Give(mesh_copy, kWorkerMesh);
   plan.Give(result_copy, kWorkerResult);
-  const int failed = plan.Run(id_);
+  const int failed = plan.Run({kWorkerCommand}, id_);
   if (failed != 0) id_ = -1;
   return failed;
 }
@@ -128,6 +88,8 @@ std::optional<internal::WorkerEvent> WorkerProcess::Next(int wait_ms) {
   std::array<char, 16384> bytes;
   const ssize_t n = read(socket_.get(), bytes.data(), bytes.size());
   if (n > 0) buffer_.append(bytes.data(), static_cast<std::size_t>(n));
+  // What has not become an event by then is not one of ours.
+  if (buffer_.size() > kMostEventBytes) ended_ = true;
   // A child that dies with a job unread resets its socket.
   if (n == 0 || (n < 0 && errno != EAGAIN && errno != EINTR)) ended_ = true;
   return Parse();
@@ -146,6 +108,9 @@ std::optional<internal::WorkerEvent> WorkerProcess::Parse() {
 }
 
 int WorkerProcess::Wait() {
+  // One that ends has closed its socket after its status was settled; one that has merely closed
+  // it, or says what nobody understands, would be waited for in vain.
+  kill(id_, SIGKILL);
   int status = 0;
   while (waitpid(id_, &status, 0) < 0 && errno == EINTR) {
   }
@@ -154,9 +119,7 @@ int WorkerProcess::Wait() {
 }
 
 void WorkerProcess::Kill() {
-  if (id_ <= 0) return;
-  kill(id_, SIGKILL);
-  static_cast<void>(Wait());
+  if (id_ > 0) static_cast<void>(Wait());
 }
 
 }  // namespace strata::server

@@ -39,7 +39,8 @@ class WorkerProcess {
   /// Whether the child's events have come to their end.
   bool ended() const { return ended_; }
 
-  /// Blocks until it has ended. Its status as waitpid gives it. Precondition: started.
+  /// Its status as waitpid gives it, once its events have ended; if it runs on even so, it is
+  /// killed. Precondition: started.
   int Wait();
   /// Ends it if it runs. It can be started again.
   void Kill();

@@ -24,6 +24,20 @@ TEST(Glob, WithoutASlashMatchesTheNameAlone) {
   EXPECT_TRUE(MatchesGlob("**/b.stl", "b.stl"));
 }
 
+TEST(Glob, ASlashBeforeAndBehindBindsToTheRootAndToFolders) {
+  EXPECT_TRUE(MatchesGlob("/a.ply", "a.ply"));
+  EXPECT_FALSE(MatchesGlob("/a.ply", "b/a.ply"));
+  EXPECT_TRUE(MatchesGlob("./b/*.ply", "b/a.ply"));
+  EXPECT_TRUE(MatchesGlob("old/", "old/a.ply"));
+  EXPECT_TRUE(MatchesGlob("old/", "x/old/y/a.ply"));
+  EXPECT_FALSE(MatchesGlob("old/", "x/old")) << "a file of this name is no folder";
+  EXPECT_FALSE(MatchesGlob("/old/", "x/old/a.ply"));
+  EXPECT_TRUE(MatchesGlob("x/o*/", "x/old/a.ply"));
+  EXPECT_FALSE(MatchesGlob("x/o*/", "y/x/old/a.ply"));
+  EXPECT_FALSE(MatchesGlob("/", "a.ply"));
+  EXPECT_FALSE(MatchesGlob("", "a.ply"));
+}
+
 TEST(Glob, SetsAndEscapesAreOneByte) {
   EXPECT_TRUE(MatchesGlob("[a-c]?.ply", "b1.ply"));
   EXPECT_FALSE(MatchesGlob("[!a-c]?.ply", "b1.ply"));

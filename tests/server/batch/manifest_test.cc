@@ -2,8 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <functional>
+#include <initializer_list>
 #include <string>
+#include <utility>
 
+#include "server/batch/former_lines.h"
 #include "server/batch/names.h"
 #include "server/batch/owner.h"
 #include "tests/support/temp_folder.h"
@@ -69,6 +73,79 @@ TEST(ManifestLine, KeepsNamesThatAreNoText) {
     ASSERT_TRUE(read) << read.error().message;
     EXPECT_EQ(read->path, name) << Printable(name);
   }
+}
+
+TEST(ManifestLine, NamesNoOtherFileThanItsModels) {
+  const auto refused = [](const std::function<void(ManifestLine&)>& change) {
+    ManifestLine line = Sampled("a/b.ply");
+    change(line);
+    const auto read = FromJsonLine(ToJsonLine(line));
+    if (read) return std::string();
+    EXPECT_EQ(read.error().code, ErrorCode::kCorruptInput);
+    return read.error().message;
+  };
+  EXPECT_EQ(refused([](auto&) {}), "");
+  EXPECT_EQ(refused([](auto& line) { line.picture = ".strata/pictures/00ff.png"; }), "");
+  for (const char* const output :
+       {"", "a/b.ply", "a/b.ply.", "a/b.ply.txt", "a/b.ply.x.drc", "a/b.ply./c.drc", "../b.ply.drc",
+        "/a/b.ply.drc", "a/b.ply/../c.drc", "a/bXply.drc"}) {
+    EXPECT_NE(refused([output](auto& line) { line.output = output; }), "") << output;
+  }
+  for (const char* const picture : {"../x.png", ".strata/pictures/../../x.png", "x.png"}) {
+    EXPECT_NE(refused([picture](auto& line) { line.picture = picture; }), "") << picture;
+  }
+  for (const char* const path : {"", "..", "../a", "/a", "a//b"}) {
+    EXPECT_NE(refused([path](auto& line) {
+                line.path = path;
+                line.output = std::string(path) + ".drc";
+              }),
+              "")
+        << path;
+  }
+}
+
+TEST(ManifestLine, HoldsNumbersWhereNumbersBelong) {
+  const std::string whole = ToJsonLine(Sampled("a"));
+  for (const auto& [from, to] :
+       std::initializer_list<std::pair<const char*, const char*>>{{R"("samples":10)", "-10"},
+                                                                  {R"("samples":10)", "1e300"},
+                                                                  {R"("samples":10)", "10.5"},
+                                                                  {R"("samples":10)", "\"10\""},
+                                                                  {R"("area":1.5)", "null"},
+                                                                  {R"("zero_area":3)", "-3"},
+                                                                  {R"("worker":42)", "-1"}}) {
+    std::string text = whole;
+    const std::string_view found = from;
+    const std::size_t at = text.find(found);
+    ASSERT_NE(at, text.npos) << from;
+    const std::size_t colon = found.find(':') + 1;
+    text.replace(at + colon, found.size() - colon, to);
+    const auto read = FromJsonLine(text);
+    ASSERT_FALSE(read) << text;
+    EXPECT_EQ(read.error().code, ErrorCode::kCorruptInput);
+  }
+}
+
+TEST(ManifestLine, EndsInAnErrorHoweverDeepItsBracketsGo) {
+  const std::string open(1'000'000, '[');
+  for (const std::string& text :
+       {open, "{\"options\":" + open + std::string(open.size(), ']') + "}"}) {
+    EXPECT_FALSE(FromJsonLine(text));
+  }
+  EXPECT_TRUE(FromJsonLine(ToJsonLine(Sampled("[[[[[[[[\"[[[[\\[[[[[[[[[[[[[[[[[[[[[[[[[[[[["))))
+      << "those of a name count for nothing";
+}
+
+TEST(ManifestLine, OfAModelThatIsGoneSaysNoMore) {
+  ManifestLine line;
+  line.path = "a/b.ply";
+  line.gone = true;
+  line.measured.finished = InstantNow();
+  const auto read = FromJsonLine(ToJsonLine(line));
+  ASSERT_TRUE(read) << read.error().message;
+  EXPECT_TRUE(read->gone);
+  EXPECT_FALSE(read->sampled);
+  EXPECT_EQ(read->measured.finished, line.measured.finished);
 }
 
 TEST(Names, ArePrintedOnOneLine) {
@@ -144,6 +221,35 @@ TEST_F(ManifestFile, IsRewrittenInOrderWithOneLineAPath) {
   EXPECT_EQ(ReadFile(path), ToJsonLine(Sampled("a")) + '\n' + ToJsonLine(Sampled("c")) + '\n');
   ASSERT_TRUE(manifest->Append(Sampled("d"))) << "it goes on in the new file";
   EXPECT_EQ(Manifest::Open(path)->get()->Paths().size(), 3u);
+}
+
+TEST(FormerLines, OfAllSharesAreFoundTheOwnFirst) {
+  const TempFolder folder;
+  ManifestLine theirs = Sampled("a"), later = Sampled("a");
+  theirs.output_sha256 = std::string(64, 'c');
+  theirs.measured.finished = "2026-01-01T00:00:00.000Z";
+  later.output_sha256 = std::string(64, 'd');
+  later.measured.finished = "2027-01-01T00:00:00.000Z";
+  WriteFile(folder / "manifest-0-of-2.jsonl", ToJsonLine(theirs) + '\n');
+  WriteFile(folder / "manifest-1-of-2.jsonl", ToJsonLine(Sampled("b")) + '\n');
+  auto own = Manifest::Open(folder / "manifest.jsonl");
+  ASSERT_TRUE((*own)->Append(Sampled("a")));
+  const auto former = FormerLines::Open(folder.path(), "manifest.jsonl", **own);
+  ASSERT_TRUE(former) << former.error().message;
+  EXPECT_EQ(former->Paths(), (std::vector<std::string>{"a", "b"}));
+  EXPECT_TRUE(former->IsElsewhere("a"));
+  EXPECT_FALSE(former->IsElsewhere("c"));
+  const auto lines = former->Of("a");
+  ASSERT_TRUE(lines) << lines.error().message;
+  ASSERT_EQ(lines->size(), 2u);
+  EXPECT_EQ(lines->front().output_sha256, std::string(64, 'b'));
+  EXPECT_FALSE(IsOverruled(lines->front(), *lines)) << "the other one is older";
+  EXPECT_TRUE(IsOverruled(lines->front(), {lines->front(), later}));
+  ManifestLine gone;
+  gone.path = "a";
+  gone.gone = true;
+  ASSERT_TRUE((*own)->Append(gone));
+  EXPECT_EQ(former->Of("a")->size(), 1u) << "what the other share has stays known";
 }
 
 TEST(Owner, KeepsAllOthersOutButTheSharesBesideIt) {

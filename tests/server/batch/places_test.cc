@@ -59,7 +59,19 @@ TEST_F(PlacesTest, LinksAreFollowedToFilesInsideAndNowhereElse) {
   fs::create_directory_symlink(".", folder / "repo/a/loop");
   fs::create_symlink("nothing.ply", folder / "repo/dangling.ply");
   fs::create_symlink("self.ply", folder / "repo/self.ply");
-  EXPECT_THAT(List(), ElementsAre("a/x.ply", "inside.ply"));
+  // Those that cannot be followed are listed, to fail with their reason.
+  EXPECT_THAT(List(),
+              ElementsAre("a/x.ply", "dangling.ply", "inside.ply", "outside.ply", "self.ply"));
+  for (const char* const path : {"dangling.ply", "outside.ply", "self.ply"}) {
+    const auto source = OpenFolderSource(folder / "repo", folder / "out");
+    const auto models = (*source)->List({});
+    ASSERT_TRUE(models) << models.error().message;
+    const auto model = std::ranges::find(*models, path, &ModelEntry::path);
+    ASSERT_NE(model, models->end()) << path;
+    const auto fetched = (*source)->Fetch(*model, {});
+    ASSERT_FALSE(fetched) << path;
+    EXPECT_EQ(fetched.error().code, ErrorCode::kUnsupported) << fetched.error().message;
+  }
   const auto source = OpenFolderSource(folder / "repo", folder / "out");
   for (const char* const path : {"../outside/y.ply", "/etc/passwd", "outside.ply", "a/../a/x.ply",
                                  "a//x.ply", "", "a", "./a/x.ply"}) {
@@ -67,6 +79,31 @@ TEST_F(PlacesTest, LinksAreFollowedToFilesInsideAndNowhereElse) {
     ASSERT_TRUE(found) << path;
     EXPECT_FALSE(found->has_value()) << path;
   }
+}
+
+TEST_F(PlacesTest, FoldersThatAreExcludedAreNotLookedInto) {
+  for (const char* const path : {"repo/a/x.ply", "repo/b/a/y.ply", "repo/b/z.ply"}) Put(path);
+  // A link that leads nowhere would be listed.
+  fs::create_symlink("nothing.ply", folder / "repo/b/a/dangling.ply");
+  EXPECT_THAT(List({{}, {"a/"}, false}), ElementsAre("b/z.ply"));
+  EXPECT_THAT(List({{}, {"/a/"}, false}), ElementsAre("b/a/dangling.ply", "b/a/y.ply", "b/z.ply"));
+  EXPECT_THAT(List({{}, {"b/**"}, false}), ElementsAre("a/x.ply"));
+  EXPECT_THAT(List({{"a/"}, {"b/a/"}, false}), ElementsAre("a/x.ply"));
+  EXPECT_TRUE(PassesOver({{}, {"old/"}, false}, "x/old"));
+  EXPECT_TRUE(PassesOver({{}, {"x/**"}, false}, "x"));
+  EXPECT_FALSE(PassesOver({{}, {"x/**"}, false}, "y/x")) << "a glob with a / begins at the root";
+  EXPECT_FALSE(PassesOver({{}, {"*", "**", "x", "x/*"}, false}, "x"));
+}
+
+TEST(ModelPaths, StayBelowTheirPlace) {
+  for (const char* const path : {"a", "a/b.ply", "..a/b..", "-", "a b/\xff"}) {
+    EXPECT_TRUE(IsModelPath(path)) << path;
+  }
+  for (const char* const path :
+       {"", "/", "/a", "a/", "a//b", ".", "..", "../a", "a/../b", "a/./b"}) {
+    EXPECT_FALSE(IsModelPath(path)) << path;
+  }
+  EXPECT_FALSE(IsModelPath(std::string_view("a\0b", 3)));
 }
 
 TEST_F(PlacesTest, OutputsMayNotMixWithModels) {
