@@ -29,7 +29,7 @@ Result<void> Store::OpenFiles() {
     if (auto opened = OpenShared(); !opened) return opened;
   } else {
     if (auto opened = Take(DataFolder::Open(options_.data), folder_); !opened) return opened;
-    auto opened = Take(Database::Open(folder_->database_path(), clock_), database_);
+    auto opened = Take(Database::Open(folder_->database_path(), *clock_), database_);
     if (!opened) return opened;
     if (auto migrated = Migrate(*database_); !migrated) return migrated;
   }
@@ -42,6 +42,11 @@ Result<void> Store::OpenFiles() {
 Result<void> Store::OpenShared() {
   const PostgresOptions& postgres = options_.shared->postgres;
   if (auto opened = Take(OpenPostgres(postgres), database_); !opened) return opened;
+  if (postgres.clock == nullptr) {
+    database_clock_ = std::make_unique<DatabaseClock>(*database_);
+    if (auto asked = database_clock_->Refresh(); !asked) return asked;
+    clock_ = database_clock_.get();
+  }
   const auto store = MigrateShared(*database_, postgres.schema);
   if (!store) return Forward(store);
   auto opened = Take(DataFolder::OpenShared(options_.data, store->id, store->has_folder), folder_);
@@ -56,12 +61,12 @@ Result<void> Store::OpenStores() {
       !o) {
     return o;
   }
-  models_ = std::make_unique<ModelStore>(*blobs_, *database_, repository_.get(), clock_);
-  const UploadStore::Parts uploads{*folder_, *database_, *blobs_, *models_, clock_};
+  models_ = std::make_unique<ModelStore>(*blobs_, *database_, repository_.get(), *clock_);
+  const UploadStore::Parts uploads{*folder_, *database_, *blobs_, *models_, *clock_};
   if (auto o = Take(UploadStore::Open(uploads, options_.uploads), uploads_); !o) return o;
-  const JobStore::Parts jobs{*database_, *blobs_, clock_};
+  const JobStore::Parts jobs{*database_, *blobs_, *clock_};
   if (auto o = Take(JobStore::Open(jobs, options_.jobs), jobs_); !o) return o;
-  if (auto o = Take(ResultCache::Open({*database_, *blobs_, clock_}), results_); !o) return o;
+  if (auto o = Take(ResultCache::Open({*database_, *blobs_, *clock_}), results_); !o) return o;
   swept_ = std::chrono::steady_clock::now();
   Listen();
   return {};
@@ -93,6 +98,7 @@ Result<void> Store::Check() {
 Result<void> Store::MaintainShared() {
   constexpr auto kSweepEvery = std::chrono::minutes(10);
   if (auto renewed = membership_->Renew(); !renewed) return renewed;
+  if (database_clock_) static_cast<void>(database_clock_->Refresh());
   const auto expired = membership_->ExpireOthers();
   if (!expired) return Forward(expired);
   const auto now = std::chrono::steady_clock::now();
@@ -113,7 +119,7 @@ Result<void> Store::Maintain() {
   }
   note(uploads_->RemoveExpired());
   note(jobs_->ExpireLeases());
-  note(jobs_->Purge(clock_.Now() - options_.job_retention));
+  note(jobs_->Purge(clock_->Now() - options_.job_retention));
   note(results_->Flush());
   note(blobs_->CollectAll());
   return result;

@@ -11,6 +11,7 @@
 #include "server/store/clock.h"
 #include "server/store/data_folder.h"
 #include "server/store/database.h"
+#include "server/store/database_clock.h"
 #include "server/store/job_store.h"
 #include "server/store/membership.h"
 #include "server/store/model_repository.h"
@@ -46,9 +47,9 @@ class Store {
  public:
   /// Opens or makes the folder, brings the database up to date and mends what a crash left; jobs
   /// that were running are queued again. Takes as long as reading complete uploads that were not
-  /// yet stored. `clock` must outlive the store. Errors: kConflict when another process has the
-  /// folder; kUnsupported when a newer Strata wrote it; kNotFound (the models' folder);
-  /// kCorruptInput (the database), kIo; IsDatabaseAway.
+  /// yet stored. `clock` must outlive the store; a shared one goes by its database's. Errors:
+  /// kConflict when another process has the folder; kUnsupported when a newer Strata wrote it;
+  /// kNotFound (the models' folder); kCorruptInput (the database), kIo; IsDatabaseAway.
   static Result<std::unique_ptr<Store>> Open(const StoreOptions& options, const Clock& clock);
 
   DataFolder& folder() { return *folder_; }
@@ -69,7 +70,7 @@ class Store {
   Result<void> Maintain();
 
  private:
-  Store(const StoreOptions& options, const Clock& clock) : options_(options), clock_(clock) {}
+  Store(const StoreOptions& options, const Clock& clock) : options_(options), clock_(&clock) {}
   Result<void> OpenFiles();
   Result<void> OpenShared();
   void Listen();
@@ -77,10 +78,11 @@ class Store {
   Result<void> OpenStores();
 
   StoreOptions options_;
-  const Clock& clock_;
+  const Clock* clock_;
   // In the order of their use: each goes before what it uses.
   std::unique_ptr<DataFolder> folder_;
   std::unique_ptr<Database> database_;
+  std::unique_ptr<DatabaseClock> database_clock_;  // Of a shared store: then clock_ is this.
   std::unique_ptr<Membership> membership_;
   std::unique_ptr<BlobStore> blobs_;
   std::unique_ptr<ModelRepository> repository_;

@@ -358,6 +358,78 @@ class FaultsTest(NodesCase):
             self.assertEqual(self.ended(server, id)['state'], 'succeeded')
         self.assertCommandsBytes(server, next(iter(jobs)), 150, next(iter(jobs.values())))
 
+    def test_backends_that_are_ended_again_and_again_lose_nothing(self):
+        server = self.serve('--jobs', '1')
+        for _ in range(2):
+            self.worker('--jobs', '1', '--max-attempts', '50')
+        jobs = {self.post(server, 100, seed=seed): seed for seed in range(24)}
+        ended = 0
+        for _ in range(20):
+            ended += len(self.sql('SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE'
+                                  f" datname = '{self.database}' AND pid <> pg_backend_pid()"))
+            # All have come back before they are ended again.
+            wait_until(lambda: int(self.sql('SELECT count(*) FROM pg_stat_activity WHERE datname ='
+                                            f" '{self.database}'")[0][0]) > 3, 'the processes to be back')
+        self.assertGreaterEqual(ended, 60)
+        for id in jobs:
+            self.assertEqual(self.ended(server, id)['state'], 'succeeded')
+        self.assertEqual(self.sql("SELECT job FROM strata.attempts WHERE why = 'succeeded'"
+                                  ' GROUP BY job HAVING count(*) <> 1'), [])
+        self.assertCommandsBytes(server, next(iter(jobs)), 100, 0)
+
+    def test_a_process_that_idles_in_a_transaction_holds_nobody_up(self):
+        server = self.serve('--jobs', '1')
+        self.ended(server, self.post(server, 30))
+        # The lock of all writers, as one that was paused in the middle would keep it.
+        schema = 'strata'
+        held = subprocess.Popen(
+            ['psql', '-X', '-q', '-h', str(POSTGRES.folder), '-p', str(POSTGRES.port), '-U', 'strata',
+             '-d', self.database], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, text=True)
+        self.addCleanup(held.stdout.close)
+        held.stdin.write("SET idle_in_transaction_session_timeout = '8s'; BEGIN;"
+                         f" SELECT pg_advisory_xact_lock({0x5374}, hashtext('{schema}'));"
+                         " SELECT 'held';\n")
+        held.stdin.flush()
+        while 'held' not in held.stdout.readline():
+            pass
+        id = self.post(server, 31)  # Waits until the database has ended that session.
+        self.assertEqual(self.ended(server, id)['state'], 'succeeded')
+        held.kill()
+        held.wait()
+        held.stdin.close()
+
+    def test_only_the_databases_clock_counts(self):
+        clock = pathlib.Path(harness.strata()).parent.parent / 'tests/support/libskewed_clock.so'
+        self.assertTrue(clock.exists(), clock)
+        month = 30 * 86400
+        server = self.serve('--jobs', '1')
+        finished = self.post(server, 30)
+        self.ended(server, finished)
+        created = server.curl('/v1/uploads', '-X', 'POST', '-H', 'Tus-Resumable: 1.0.0', '-H', 'Upload-Length: 4',
+                              '-H', 'Upload-Metadata: name bW9kZWwub2Zm')
+        self.assertEqual(created.status, 201, created.body)
+        upload = created.headers['location']
+        jobs = []
+        for skew in (month, -month):
+            worker = self.worker('--jobs', '1', environment={
+                'LD_PRELOAD': str(clock), 'STRATA_TEST_SKEW': str(skew)})
+            jobs += [self.post(server, 40, seed=seed) for seed in range(6)]
+            own = f"SELECT lease_until FROM strata.processes WHERE name LIKE '%:{worker.process.pid}'"
+            first = self.sql(own)
+            self.assertEqual(len(first), 1)
+            # With each renewal goes what time brings: what is old is removed, what was lost is queued again.
+            for _ in range(3):
+                wait_until(lambda: self.sql(own) not in ([], first), 'the lease to be renewed')
+                first = self.sql(own)
+        for id in jobs:
+            job = self.ended(server, id)
+            self.assertEqual(job['state'], 'succeeded')
+            self.assertEqual([entry['why'] for entry in job['history']], ['succeeded'], 'no lease ran out')
+        self.assertEqual(self.job(server, finished)['state'], 'succeeded', 'what is new is not removed as old')
+        path = upload[upload.index('/v1/'):]
+        self.assertEqual(server.curl(path, '-I', '-H', 'Tus-Resumable: 1.0.0').status, 200)
+
     def test_a_job_that_kills_its_processes_has_failed_with_its_history(self):
         server = self.serve('--jobs', '1', '--max-attempts', '2')
         id = self.post(server, 40)
