@@ -197,6 +197,11 @@ TEST(UploadJournal, KnowsWhatWasBegunAndNotEnded) {
   ASSERT_EQ((*next)->leftovers().size(), 1u);
   EXPECT_EQ((*next)->leftovers()[0].name.key, "a b\n/ü");
   EXPECT_EQ((*next)->leftovers()[0].id, "id/1+");
+  ASSERT_TRUE((*next)->Began({"bucket", "d"}, "id3"));
+  const auto last = UploadJournal::Open(path);
+  ASSERT_TRUE(last) << last.error().message;
+  ASSERT_EQ((*last)->leftovers().size(), 2u) << "a line after a part of one is a line of its own";
+  EXPECT_EQ((*last)->leftovers()[1].name.key, "d");
 }
 
 }  // namespace
