@@ -34,6 +34,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
       "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\n"
       "f 1/1 2/2 3/3\nusemtl b\nf 3/3 2/2 1/1\n";
   io::OpenOptions options;
+  options.max_line_bytes = 300;  // Small buffers: many more runs.
   options.companions =
       std::make_shared<OneFile>(std::string(reinterpret_cast<const char*>(data), size));
   // The surface does not depend on the library, whatever it holds.
