@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <optional>
 #include <set>
 #include <system_error>
 #include <utility>
@@ -32,14 +33,15 @@ Result<FormerLines> FormerLines::Open(const std::string& state, const std::strin
 
 Result<std::vector<ManifestLine>> FormerLines::Of(const std::string& path) const {
   std::vector<ManifestLine> lines;
-  auto line = own_->Find(path);
-  if (line && *line) lines.push_back(**std::move(line));
-  for (std::size_t i = 0; line && i < others_.size(); ++i) {
-    line = others_[i].Find(path);
-    if (line && *line) lines.push_back(**std::move(line));
+  const auto add = [&lines](Result<std::optional<ManifestLine>> line) -> Result<void> {
+    if (!line) return Forward(line);
+    if (*line && !(*line)->gone) lines.push_back(**std::move(line));
+    return {};
+  };
+  if (auto added = add(own_->Find(path)); !added) return Forward(added);
+  for (const ManifestReader& each : others_) {
+    if (auto added = add(each.Find(path)); !added) return Forward(added);
   }
-  if (!line) return Forward(line);
-  std::erase_if(lines, [](const ManifestLine& each) { return each.gone; });
   return lines;
 }
 

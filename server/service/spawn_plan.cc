@@ -32,6 +32,7 @@ void SpawnPlan::Give(const io::Fd& fd, int number) {
 int SpawnPlan::Run(std::vector<std::string> arguments, pid_t& id) {
   arguments.insert(arguments.begin(), "strata");
   std::vector<char*> pointers;
+  pointers.reserve(arguments.size() + 1);
   for (std::string& argument : arguments) pointers.push_back(argument.data());
   pointers.push_back(nullptr);
   return posix_spawn(&id, "/proc/self/exe", &actions_, &attributes_, pointers.data(), environ);
