@@ -16,7 +16,10 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   auto whole = strata::io::OpenOff(strata::io::MemorySource(bytes), options);
   auto dribs = strata::io::OpenOff(
       strata::test::Dribble(strata::io::MemorySource(bytes), 1 + size % 13), options);
-  strata::test::Require(whole.has_value() == dribs.has_value());
+  if (whole.has_value() != dribs.has_value()) {
+    // Packed data that are damaged: what is read at once with the header fails with it.
+    strata::test::Require(strata::test::Drain(whole ? **whole : **dribs, 5).failed);
+  }
   if (whole && dribs) {
     const auto first = strata::test::Drain(**whole, 64);
     const auto second = strata::test::Drain(**dribs, 5);
