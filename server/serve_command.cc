@@ -15,6 +15,7 @@
 
 #include "core/version.h"
 #include "server/http/http_server.h"
+#include "server/remote/s3_config.h"
 #include "server/resources.h"
 #include "server/rpc/rpc_server.h"
 #include "server/serve_config.h"
@@ -160,6 +161,8 @@ Result<void> RunNode(std::span<const std::string> arguments, ServeMode mode) {
     return {};
   }
   const auto& command = std::get<ServeCommand>(*parsed);
+  // Read by now; the processes that are started need none of them.
+  if (command.store && command.store->bucket) ForgetCredentialVariables();
   const sigset_t signals = BlockEndSignals();
   RaiseOpenFiles();
   StartLog(command.log_format, command.log_level);
@@ -195,6 +198,7 @@ Result<void> RunNode(std::span<const std::string> arguments, ServeMode mode) {
        {"grpc", Where(command.grpc, running.rpc ? running.rpc->port() : 0)},
        {"tls", command.tls.on() ? "on" : "off"},
        {"data", command.store ? command.store->data : "none"},
+       {"blobs", command.store && command.store->bucket ? "bucket" : "data"},
        {"database", command.store && command.store->shared ? "postgresql" : "sqlite"},
        {"keys", command.keys.empty() ? "none" : "file"},
        {"jobs", std::uint64_t{command.limits.jobs.jobs}},

@@ -6,6 +6,7 @@
 #include <CLI/Config.hpp>
 #include <CLI/Formatter.hpp>
 #include <algorithm>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <memory>
@@ -18,6 +19,9 @@
 #include "server/memory.h"
 #include "server/nearest_name.h"
 #include "server/parse_number.h"
+#include "server/remote/s3_config.h"
+#include "server/remote/s3_name.h"
+#include "server/service/bucket_place.h"
 
 namespace strata::server {
 namespace {
@@ -205,6 +209,27 @@ void ReadDatabase(Reader& read, StoreOptions& options) {
   options.shared->postgres.password = *std::move(password);
 }
 
+void ReadBucket(Reader& read, StoreOptions& options) {
+  const std::string url = read.Text("blobs");
+  options.blobs.cache_bytes = read.Size("blob-cache", 1);
+  const bool insecure = read.OneOf("s3-insecure", {"off", "on"}) == 1;
+  if (url.empty()) {
+    if (read.Has("blob-cache")) read.Refuse("--blob-cache needs --blobs");
+    if (read.Has("s3-insecure")) read.Refuse("--s3-insecure needs --blobs");
+    return;
+  }
+  const auto prefix = ParseS3Folder(url);
+  if (!prefix) return read.Refuse("--blobs: " + prefix.error().message);
+  auto config = LoadS3Config(std::getenv, insecure);
+  if (!config) return read.Refuse("--blobs: " + config.error().message);
+  // Requests wait for it: of a store that is away they should be told soon.
+  if (std::getenv("AWS_MAX_ATTEMPTS") == nullptr) config->max_attempts = 4;
+  config->stall_seconds = 15;
+  options.bucket = [prefix = *prefix, config = *std::move(config)](const std::string& data) {
+    return OpenBucketPlace(prefix, config, data);
+  };
+}
+
 std::optional<StoreOptions> StoreOptionsOf(Reader& read, const ServiceLimits& limits) {
   StoreOptions options;
   options.data = read.Text("data");
@@ -215,8 +240,10 @@ std::optional<StoreOptions> StoreOptionsOf(Reader& read, const ServiceLimits& li
   options.jobs.max_queued = read.Number("stored-jobs", 1, 1'000'000);
   options.job_retention = std::chrono::hours(read.Number("keep-jobs", 1, 100'000));
   ReadDatabase(read, options);
+  ReadBucket(read, options);
   if (!options.data.empty()) return options;
   if (options.shared) read.Refuse("--database needs --data, a folder that all its processes share");
+  if (options.bucket) read.Refuse("--blobs needs --data, where drafts and copies lie");
   if (!options.models.empty()) read.Refuse("--models needs --data, where its hashes are kept");
   return std::nullopt;
 }

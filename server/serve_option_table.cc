@@ -14,7 +14,7 @@ constexpr const char* kJob = "Jobs";
 constexpr const char* kStore = "What it keeps";
 constexpr const char* kRun = "How it runs";
 
-constexpr std::array<ServeOption, 40> kOptions = {{
+constexpr std::array<ServeOption, 43> kOptions = {{
     {"http", "ADDR:PORT", kWhere, "HTTP; port 0 takes any free one; off = no HTTP.",
      "127.0.0.1:8080"},
     {"grpc", "ADDR:PORT", kWhere, "gRPC; likewise.", "127.0.0.1:8081"},
@@ -65,10 +65,21 @@ constexpr std::array<ServeOption, 40> kOptions = {{
      "Models, jobs and results, made if it is missing. Without it the\n"
      "service keeps nothing.",
      ""},
+    {"blobs", "URL", kStore,
+     "s3://BUCKET[/PREFIX]: where models and results lie instead of in data.\n"
+     "Needs data, for drafts and copies; with database each process then\n"
+     "has a data folder of its own. Credentials as every S3 program's.",
+     "", "data"},
+    {"blob-cache", "SIZE", kStore,
+     "Of copies in data of what lies in the bucket; the least recently used\n"
+     "go first. At least the largest model.",
+     "16G"},
+    {"s3-insecure", "on|off", kStore, "Plain http to a bucket's store on another machine, too.",
+     "off"},
     {"database", "URL", kStore,
      "postgresql://[USER@]HOST[:PORT]/NAME: any number of `strata serve`\n"
      "and `strata worker` share it, and data, which is then a folder they\n"
-     "all see.",
+     "all see; or blobs.",
      "", "SQLite in data, for one process"},
     {"database-password-file", "FILE", kStore,
      "Its first line is the password. Without it libpq's own ways:\n"
@@ -102,7 +113,8 @@ constexpr std::array<ServeOption, 40> kOptions = {{
 std::span<const ServeOption> ServeOptions() { return kOptions; }
 
 bool IsWorkerOption(std::string_view name) {
-  constexpr std::array<std::string_view, 20> kNames = {
+  constexpr std::array<std::string_view, 23> kNames = {
+      "blobs",       "blob-cache", "s3-insecure",  //
       "http",        "jobs",       "memory",      "job-memory",
       "job-threads", "job-time",   "result-size", "isolate",
       "data",        "database",   "lease",       "max-attempts",

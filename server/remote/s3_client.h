@@ -7,6 +7,7 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -65,13 +66,17 @@ class S3Client {
   /// checked against the size, and the MD5 where the ETag is one. Errors: also kOverBudget (larger
   /// than `max_bytes`: nothing is fetched).
   Result<S3Object> GetToFile(const S3Name& name, int fd, std::uint64_t max_bytes = UINT64_MAX);
+  /// Fills `out` from byte `offset` of the object. Errors: also kUnsupported (a store without
+  /// ranges).
+  Result<void> ReadAt(const S3Name& name, std::uint64_t offset, std::span<char> out);
   /// The same, of a small object, into memory.
   Result<std::string> Get(const S3Name& name, std::uint64_t max_bytes);
 
-  /// Puts the first `size` bytes of the file `fd`, which must not change meanwhile; returns the
-  /// ETag. In one request up to 8 MiB, else in parts. The object appears whole or not at all, and
-  /// replaces what has its key in one step.
-  Result<std::string> PutFile(const S3Name& name, int fd, std::uint64_t size);
+  /// Puts `size` bytes of the file `fd` from `offset`, which must not change meanwhile; returns the
+  /// ETag. In one request up to 8 MiB, else in parts, of which up to kMostSenders are on their way
+  /// at a time. The object appears whole or not at all, and replaces what has its key in one step.
+  Result<std::string> PutFile(const S3Name& name, int fd, std::uint64_t size,
+                              std::uint64_t offset = 0);
   Result<std::string> Put(const S3Name& name, std::string_view bytes);
 
   /// An object that does not exist is deleted already.
@@ -89,6 +94,9 @@ class S3Client {
   /// The size of all parts but the last of an upload of `size` bytes: 8 MiB, doubled until 10,000
   /// parts suffice.
   static std::uint64_t PartBytes(std::uint64_t size);
+  /// Of one object's parts, and threads of one client beside those that call it. Each reads its
+  /// part through buffers of 256 KiB.
+  static constexpr int kMostSenders = 4, kMostHelpers = 8;
 
  private:
   friend class S3Fetch;
@@ -133,9 +141,12 @@ class S3Client {
   Result<HttpAnswer> Perform(const Call& call, std::string* code = nullptr);
 
   Result<std::string> PutWhole(const S3Name& name, const Payload& payload);
-  Result<std::string> PutInParts(const S3Name& name, int fd, std::uint64_t size);
-  Result<std::string> PutParts(const S3Name& name, const std::string& id, int fd,
-                               std::uint64_t size);
+  struct Parts;
+  Result<std::string> PutInParts(const S3Name& name, const Payload& file);
+  Result<std::string> PutParts(const S3Name& name, const std::string& id, const Payload& file);
+  /// Sends parts that nobody has taken yet until there are none, or one failed.
+  void SendParts(Parts& parts);
+  Result<void> SendPart(Parts& parts, std::size_t index);
   /// `expected` is the tag that AWS gives such an object.
   Result<std::string> Complete(const S3Name& name, const std::string& id,
                                const std::vector<std::string>& etags, const std::string& expected,
@@ -146,6 +157,7 @@ class S3Client {
   UploadLog* log_;
   HttpPool pool_;
   std::mutex mutex_;
+  int helpers_ = 0;                             // Guarded by mutex_.
   std::map<std::string, std::string> regions_;  // Of buckets, as learnt. Guarded by mutex_.
 };
 

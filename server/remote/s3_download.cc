@@ -206,6 +206,41 @@ Result<S3Object> S3Client::GetToFile(const S3Name& name, int fd, std::uint64_t m
   return S3Fetch(*this, name, fd, nullptr, max_bytes).Run();
 }
 
+Result<void> S3Client::ReadAt(const S3Name& name, std::uint64_t offset, std::span<char> out) {
+  if (out.empty()) return {};
+  std::size_t done = 0;
+  std::string refused;
+  Call call;
+  call.name = name;
+  call.headers = {"range: bytes=" + std::to_string(offset) + '-' +
+                  std::to_string(offset + out.size() - 1)};
+  call.begin = [&](int status, const auto& headers) {
+    done = 0;
+    const auto found = headers.find("content-range");
+    const auto range =
+        found != headers.end() ? ParseContentRange(found->second) : std::optional<ContentRange>();
+    if (status == 206 && range && range->first == offset) return true;
+    refused = "the store sends another range than was asked for";
+    return false;
+  };
+  call.sink = [&](std::string_view bytes) {
+    if (bytes.size() > out.size() - done) {
+      refused = "the store sends more than was asked for";
+      return false;
+    }
+    std::memcpy(out.data() + done, bytes.data(), bytes.size());
+    done += bytes.size();
+    return true;
+  };
+  const Result<HttpAnswer> answer = Perform(call);
+  if (!refused.empty()) return Fail(ErrorCode::kIo, name.Shown() + ": " + refused);
+  if (!answer) return Forward(answer);
+  if (done == out.size()) return {};
+  return Fail(ErrorCode::kIo, name.Shown() + ": " + std::to_string(out.size()) +
+                                  " bytes from byte " + std::to_string(offset) +
+                                  " wanted, the object ends after " + std::to_string(done));
+}
+
 Result<std::string> S3Client::Get(const S3Name& name, std::uint64_t max_bytes) {
   std::string text;
   const Result<S3Object> object = S3Fetch(*this, name, -1, &text, max_bytes).Run();

@@ -5,6 +5,9 @@
 #include <algorithm>
 #include <cerrno>
 #include <ctime>
+#include <mutex>
+#include <optional>
+#include <thread>
 
 #include "core/run_context.h"
 #include "io/output_place.h"
@@ -80,9 +83,10 @@ std::uint64_t S3Client::PartBytes(std::uint64_t size) {
   return part;
 }
 
-Result<std::string> S3Client::PutFile(const S3Name& name, int fd, std::uint64_t size) {
-  return size <= kLeastPart ? PutWhole(name, Payload::OfFile(fd, 0, size))
-                            : PutInParts(name, fd, size);
+Result<std::string> S3Client::PutFile(const S3Name& name, int fd, std::uint64_t size,
+                                      std::uint64_t offset) {
+  const Payload file = Payload::OfFile(fd, offset, size);
+  return size <= kLeastPart ? PutWhole(name, file) : PutInParts(name, file);
 }
 
 Result<std::string> S3Client::Put(const S3Name& name, std::string_view bytes) {
@@ -107,7 +111,7 @@ Result<std::string> S3Client::PutWhole(const S3Name& name, const Payload& payloa
   return etag;
 }
 
-Result<std::string> S3Client::PutInParts(const S3Name& name, int fd, std::uint64_t size) {
+Result<std::string> S3Client::PutInParts(const S3Name& name, const Payload& file) {
   Call begin;
   begin.method = "POST";
   begin.name = name;
@@ -119,40 +123,86 @@ Result<std::string> S3Client::PutInParts(const S3Name& name, int fd, std::uint64
   if (!id) return Fail(id.error().code, name.Shown() + ": " + id.error().message);
   const Result<void> logged = log_ != nullptr ? log_->Began(name, *id) : Result<void>();
   Result<std::string> etag =
-      logged ? PutParts(name, *id, fd, size) : Result<std::string>(Forward(logged));
+      logged ? PutParts(name, *id, file) : Result<std::string>(Forward(logged));
   // Also when the job is cancelled: what stays costs its owner money.
   const bool ended = etag || AbortUpload(name, *id);
   if (ended && log_ != nullptr) log_->Ended(name, *id);
   return etag;
 }
 
-Result<std::string> S3Client::PutParts(const S3Name& name, const std::string& id, int fd,
-                                       std::uint64_t size) {
-  std::vector<std::string> etags;
-  std::string md5s;  // Of the parts, in binary.
-  const std::uint64_t part_bytes = PartBytes(size);
-  for (std::uint64_t offset = 0; offset < size; offset += part_bytes) {
-    Call call;
-    call.method = "PUT";
-    call.name = name;
-    call.query = {{"partNumber", std::to_string(etags.size() + 1)}, {"uploadId", id}};
-    call.payload = Payload::OfFile(fd, offset, std::min(part_bytes, size - offset));
-    const Result<Digests> digests = DigestsOf(name, call.payload);
-    if (!digests) return Forward(digests);
-    call.payload_sha256 = digests->sha256;
-    const Result<HttpAnswer> answer = Perform(call);
-    if (!answer) return Forward(answer);
-    etags.push_back(WithoutQuotes(answer->Header("etag")));
-    if (etags.back().empty() || Contradicts(*answer, etags.back(), digests->md5)) {
-      return Fail(ErrorCode::kIo, name.Shown() + ": the store's tag of part " +
-                                      std::to_string(etags.size()) + " is '" + etags.back() +
-                                      "': expected " + digests->md5);
-    }
-    md5s += BytesOfHex(digests->md5);
+/// The parts of one upload, which several threads send.
+struct S3Client::Parts {
+  const S3Name& name;
+  const std::string& id;
+  const Payload& file;
+  const std::uint64_t part_bytes;
+  std::vector<std::string> etags, md5s;  // By part; each written by who has taken it.
+  std::mutex mutex;
+  std::size_t next = 0;        // Guarded by mutex.
+  std::optional<Error> error;  // The first; guarded by mutex.
+};
+
+Result<void> S3Client::SendPart(Parts& parts, std::size_t index) {
+  const std::uint64_t begin = index * parts.part_bytes;
+  Call call;
+  call.method = "PUT";
+  call.name = parts.name;
+  call.query = {{"partNumber", std::to_string(index + 1)}, {"uploadId", parts.id}};
+  call.payload = Payload::OfFile(parts.file.fd, parts.file.offset + begin,
+                                 std::min(parts.part_bytes, parts.file.size - begin));
+  const Result<Digests> digests = DigestsOf(parts.name, call.payload);
+  if (!digests) return Forward(digests);
+  call.payload_sha256 = digests->sha256;
+  const Result<HttpAnswer> answer = Perform(call);
+  if (!answer) return Forward(answer);
+  std::string etag = WithoutQuotes(answer->Header("etag"));
+  if (etag.empty() || Contradicts(*answer, etag, digests->md5)) {
+    return Fail(ErrorCode::kIo, parts.name.Shown() + ": the store's tag of part " +
+                                    std::to_string(index + 1) + " is '" + etag + "': expected " +
+                                    digests->md5);
   }
+  parts.etags[index] = std::move(etag);
+  parts.md5s[index] = BytesOfHex(digests->md5);
+  return {};
+}
+
+void S3Client::SendParts(Parts& parts) {
+  std::unique_lock lock(parts.mutex);
+  while (!parts.error && parts.next < parts.etags.size()) {
+    const std::size_t index = parts.next++;
+    lock.unlock();
+    const Result<void> sent = SendPart(parts, index);
+    lock.lock();
+    if (!sent && !parts.error) parts.error = sent.error();
+  }
+}
+
+Result<std::string> S3Client::PutParts(const S3Name& name, const std::string& id,
+                                       const Payload& file) {
+  const std::uint64_t part_bytes = PartBytes(file.size);
+  const auto count = static_cast<std::size_t>((file.size + part_bytes - 1) / part_bytes);
+  Parts parts{name, id, file, part_bytes, {}, {}, {}, 0, {}};
+  parts.etags.resize(count);
+  parts.md5s.resize(count);
+  int helpers = static_cast<int>(std::min<std::size_t>(count, kMostSenders)) - 1;
+  {
+    const std::lock_guard lock(mutex_);
+    helpers = std::min(helpers, kMostHelpers - helpers_);
+    helpers_ += helpers;
+  }
+  std::vector<std::thread> threads;
+  for (int i = 0; i < helpers; ++i) threads.emplace_back([this, &parts] { SendParts(parts); });
+  SendParts(parts);
+  for (std::thread& thread : threads) thread.join();
+  {
+    const std::lock_guard lock(mutex_);
+    helpers_ -= helpers;
+  }
+  if (parts.error) return tl::unexpected<Error>(*std::move(parts.error));
   io::Hasher of_parts(io::DigestKind::kMd5);
-  of_parts.Update(md5s);
-  return Complete(name, id, etags, of_parts.HexDigest() + '-' + std::to_string(etags.size()), size);
+  for (const std::string& md5 : parts.md5s) of_parts.Update(md5);
+  return Complete(name, id, parts.etags, of_parts.HexDigest() + '-' + std::to_string(count),
+                  file.size);
 }
 
 Result<std::string> S3Client::Complete(const S3Name& name, const std::string& id,

@@ -3,18 +3,18 @@
 #include <nlohmann/json.hpp>
 #include <utility>
 
-#include "server/store/database.h"
+#include "server/store/object_place.h"
 
 namespace strata::server {
 namespace {
 
-constexpr int kDatabaseRetryAfter = 5;  // Seconds: about what reconnecting takes.
+constexpr int kAwayRetryAfter = 5;  // Seconds: about what reconnecting takes.
 
 }  // namespace
 
 Problem ProblemOf(const Error& error) {
-  if (IsDatabaseAway(error)) {
-    Problem problem = ProblemOf(Refusal::kUnavailable, error.message, kDatabaseRetryAfter);
+  if (IsStoreAway(error)) {
+    Problem problem = ProblemOf(Refusal::kUnavailable, error.message, kAwayRetryAfter);
     problem.code = error.code;
     return problem;
   }

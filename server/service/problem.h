@@ -26,7 +26,7 @@ struct Problem {
 template <class T>
 using Answer = tl::expected<T, Problem>;
 
-/// Of an error of a database that is away (IsDatabaseAway): kUnavailable, with its code.
+/// Of an error of a database or a bucket that is away (IsStoreAway): kUnavailable, with its code.
 Problem ProblemOf(const Error& error);
 Problem ProblemOf(Refusal refusal, std::string detail, int retry_after_s = 0);
 

@@ -169,7 +169,8 @@ void StoredService::RunJobs() {
     // Before the look: what comes after it ends the wait.
     const std::uint64_t seen = jobs.arrivals();
     Result<std::optional<JobStore::Claimed>> claimed = std::nullopt;
-    if (claiming_) claimed = jobs.Claim(owner_);
+    const bool away = store_->bucket_is_away();  // Without it no job comes far.
+    if (claiming_ && !away) claimed = jobs.Claim(owner_);
     if (claimed && *claimed) {
       ++running_;
       RunClaimed(**claimed);
@@ -179,7 +180,8 @@ void StoredService::RunJobs() {
     // Bounded, so that the end of the service is noticed.
     for (auto waited = kAwayPause; jobs.arrivals() == seen && !stopping_; waited += kAwayPause) {
       jobs.WaitForArrival(seen, kAwayPause);
-      if (!claimed && waited >= 5 * kAwayPause) break;  // The look failed: once more.
+      // The look failed, or there was none: once more.
+      if ((!claimed || away) && waited >= 5 * kAwayPause) break;
     }
   }
 }
@@ -233,9 +235,9 @@ void StoredService::RunClaimed(const JobStore::Claimed& claimed) {
 Answer<Sampled> StoredService::RunAttempt(const Job& job, const JobWatch& watch) {
   v1::SampleOptions options;
   if (auto parsed = FromJson(job.request.options, options); !parsed) return Refuse(parsed.error());
-  const auto model = store_->models().OpenVersion(job.request.model, job.request.model_hash);
-  if (!model) return Refuse(model.error());
-  return SampleOpened(options, *model, watch);
+  // Heartbeats go on while the bucket is waited for.
+  const Meanwhile meanwhile(watch.gone);
+  return SampleVersion(options, {job.request.model, job.request.model_hash}, watch);
 }
 
 void StoredService::EndClaimed(const JobClaim& claim, const Answer<Sampled>& outcome,

@@ -73,7 +73,7 @@ Answer<void> StoredService::DeleteModel(const std::string& name, const std::stri
 }
 
 Answer<Content> StoredService::OpenModelContent(const std::string& name) {
-  auto opened = store_->models().Open(name);
+  auto opened = store_->models().Open(name, ModelUse::kBytes);
   if (!opened) return Refuse(opened.error());
   Content content;
   content.size = opened->info.size;
@@ -81,7 +81,7 @@ Answer<Content> StoredService::OpenModelContent(const std::string& name) {
   content.etag = '"' + opened->info.hash + '"';
   const auto model = std::make_shared<const OpenModel>(*std::move(opened));
   content.read = [model](std::uint64_t offset, std::span<char> out) {
-    return ReadFileAt(model->fd.get(), offset, out, model->info.name);
+    return model->ReadAt(offset, out);
   };
   return content;
 }

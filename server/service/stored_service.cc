@@ -14,6 +14,7 @@ namespace {
 
 constexpr std::chrono::milliseconds kTick{50};
 constexpr std::chrono::milliseconds kMaintainEvery{5000};
+constexpr std::chrono::milliseconds kAskAgain{1000};
 
 /// Copies a result into the store, hashed as it passes.
 Result<BlobPin> Keep(BlobStore& blobs, const Content& content) {
@@ -74,6 +75,7 @@ Result<std::unique_ptr<StoredService>> StoredService::Start(const StoreOptions& 
     self.threads_.emplace_back([&self] { self.RunJobs(); });
   }
   self.threads_.emplace_back([&self] { self.Maintain(); });
+  if (options.bucket) self.threads_.emplace_back([&self] { self.TendBucket(); });
   return stored;
 }
 
@@ -111,10 +113,25 @@ void StoredService::Maintain() {
     if (done && away_) Log(LogLevel::kInfo, "database_back", {});
     away_ = away;
     // What a newer Strata has migrated is not this one's to work on.
-    if (const auto checked = store_->Check();
+    if (const auto checked = store_->CheckDatabase();
         !checked && checked.error().code == ErrorCode::kUnsupported) {
       claiming_ = false;
     }
+    lock.lock();
+  }
+}
+
+void StoredService::TendBucket() {
+  const Meanwhile meanwhile([this] { return stopping_.load(); });
+  bool away = false;
+  std::unique_lock lock(mutex_);
+  while (!wake_.wait_for(lock, std::min(kMaintainEvery, lease_ / 2),
+                         [this] { return stopping_.load(); })) {
+    lock.unlock();
+    const auto done = store_->TendBucket();
+    if (!done && !away) Log(LogLevel::kWarning, "bucket_away", {{"reason", done.error().message}});
+    if (done && away) Log(LogLevel::kInfo, "bucket_back", {});
+    away = !done;
     lock.lock();
   }
 }
@@ -123,16 +140,17 @@ void StoredService::Maintain() {
 
 Answer<Sampled> StoredService::SampleModel(const v1::SampleOptions& options,
                                            const std::string& model, const JobWatch& watch) {
-  const auto opened = store_->models().Open(model);
-  if (!opened) return Refuse(opened.error());
-  return SampleOpened(options, *opened, watch);
+  const Meanwhile meanwhile(watch.gone);
+  const auto named = store_->models().Open(model, ModelUse::kName);
+  if (!named) return Refuse(named.error());
+  return SampleVersion(options, {named->info.name, named->info.hash}, watch);
 }
 
-Answer<Sampled> StoredService::SampleOpened(const v1::SampleOptions& options,
-                                            const OpenModel& model, const JobWatch& watch) {
+Answer<Sampled> StoredService::SampleVersion(const v1::SampleOptions& options, const Version& model,
+                                             const JobWatch& watch) {
   const auto canonical = Canonical(options);
   if (!canonical) return Refuse(canonical.error());
-  const std::string key = ResultKeyOf(*canonical, model.info.hash);
+  const std::string key = ResultKeyOf(*canonical, model.hash);
   while (true) {
     auto answer = store_->results().Enter(key);
     if (!answer) return Refuse(answer.error());
@@ -153,9 +171,26 @@ Answer<Sampled> StoredService::SampleOpened(const v1::SampleOptions& options,
   }
 }
 
-Answer<Sampled> StoredService::Lead(const v1::SampleOptions& options, const OpenModel& model,
+// What was computed is not lost because the bucket is away for a while; a client waits for its
+// answer no longer than the bucket is asked.
+Result<BlobPin> StoredService::KeepResult(const Content& content, const JobWatch& watch) {
+  while (true) {
+    auto kept = Keep(store_->blobs(), content);
+    const bool again = !kept && IsBucketAway(kept.error()) && watch.accepted;
+    if (!again) return kept;
+    for (auto waited = kTick; waited < kAskAgain; waited += kTick) {
+      if (watch.gone && watch.gone()) return kept;
+      std::unique_lock lock(mutex_);
+      wake_.wait_for(lock, kTick);
+    }
+  }
+}
+
+Answer<Sampled> StoredService::Lead(const v1::SampleOptions& options, const Version& version,
                                     const JobWatch& watch, ResultLead lead) {
-  auto sampled = service_.Sample(options, model.fd.get(), model.info.name, watch);
+  const auto model = store_->models().OpenVersion(version.name, version.hash);
+  if (!model) return Refuse(model.error());
+  auto sampled = service_.Sample(options, model->fd.get(), version.name, watch);
   if (!sampled) {
     const Problem& problem = sampled.error();
     // What is wrong with mesh or options is wrong for all who wait; a client that went, or a
@@ -166,7 +201,7 @@ Answer<Sampled> StoredService::Lead(const v1::SampleOptions& options, const Open
     if (for_all) lead.MarkFailed({problem.code, problem.detail});
     return sampled;
   }
-  auto pin = Keep(store_->blobs(), sampled->content);
+  auto pin = KeepResult(sampled->content, watch);
   if (!pin) return Refuse(pin.error());
   const auto published = lead.Publish(*pin, sampled->content.media_type, JsonOf(sampled->summary));
   if (!published) return Refuse(published.error());

@@ -86,10 +86,15 @@ class StoredService {
 
  private:
   StoredService(const StoreOptions& options, Service& service);
-  Answer<Sampled> SampleOpened(const v1::SampleOptions& options, const OpenModel& model,
-                               const JobWatch& watch);
-  Answer<Sampled> Lead(const v1::SampleOptions& options, const OpenModel& model,
+  /// One content of a model.
+  struct Version {
+    std::string name, hash;
+  };
+  Answer<Sampled> SampleVersion(const v1::SampleOptions& options, const Version& model,
+                                const JobWatch& watch);
+  Answer<Sampled> Lead(const v1::SampleOptions& options, const Version& version,
                        const JobWatch& watch, ResultLead lead);
+  Result<BlobPin> KeepResult(const Content& content, const JobWatch& watch);
   void RunJobs();
   void RunClaimed(const JobStore::Claimed& claimed);
   Answer<Sampled> RunAttempt(const Job& job, const JobWatch& watch);
@@ -103,6 +108,7 @@ class StoredService {
   void EndClaimed(const JobClaim& claim, const Answer<Sampled>& outcome, const Fate& fate);
   Result<void> EndOnce(const JobClaim& claim, const Answer<Sampled>& outcome, const Fate& fate);
   void Maintain();
+  void TendBucket();
 
   Service& service_;
   SystemClock clock_;

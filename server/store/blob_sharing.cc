@@ -26,8 +26,10 @@ Result<BlobPin> BlobStore::AdoptShared(const Adoption& file, DiskShare& share) {
   const std::string suffix = membership_.NewName();
   const std::string damaged = *known ? (*known)->file : std::string();
   if (auto linked = Link(file, suffix); !linked) return Forward(linked);
-  const auto kept = InsertShared(file, suffix, damaged);
-  // After an error the row may be there nevertheless: the file stays until this process is gone.
+  bool certain = true;
+  const auto kept = InsertShared(file, suffix, damaged, certain);
+  // The row may be there nevertheless: then the file stays until this process is gone.
+  if (!kept && certain) unlinkat(folder_.blobs().get(), FileOf(file.hash, suffix).c_str(), 0);
   if (!kept) return Forward(kept);
   if (*kept == suffix) {
     share = DiskShare();
@@ -39,9 +41,9 @@ Result<BlobPin> BlobStore::AdoptShared(const Adoption& file, DiskShare& share) {
   return pin;
 }
 
-// Returns which file the blob has.
+// Returns which file the blob has. After an error that is not `certain` the row may be there.
 Result<std::string> BlobStore::InsertShared(const Adoption& file, const std::string& suffix,
-                                            const std::string& damaged) {
+                                            const std::string& damaged, bool& certain) {
   auto session = database_.WriteRows();
   if (!session) return Forward(session);
   if (auto alive = CheckAlive(*session, suffix); !alive) return Forward(alive);
@@ -55,6 +57,7 @@ Result<std::string> BlobStore::InsertShared(const Adoption& file, const std::str
       [&](const Row& row) { kept = row.Text(0); }, file.hash, file.size,
       static_cast<std::int64_t>(file.kind), suffix, ToMillis(*now), damaged);
   if (!inserted) return Forward(inserted);
+  certain = false;
   if (auto committed = session->Commit(); !committed) return Forward(committed);
   return kept;
 }
@@ -107,6 +110,7 @@ Result<void> BlobStore::CountBytes() {
 }
 
 Result<void> BlobStore::RemoveLeftovers() {
+  if (bucket_) return RemoveBucketLeftovers();
   // The files first, then who lives, then the rows: a file that is listed, whose maker is dead and
   // which no row names, can get no row any more (CheckAlive).
   struct Found {

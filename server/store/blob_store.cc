@@ -23,9 +23,9 @@ std::string BlobStore::FileOf(const std::string& hash, const std::string& suffix
 }
 
 Result<std::unique_ptr<BlobStore>> BlobStore::Open(DataFolder& folder, Database& database,
-                                                   Membership& membership,
-                                                   const BlobLimits& limits) {
-  std::unique_ptr<BlobStore> store(new BlobStore(folder, database, membership, limits));
+                                                   Membership& membership, const BlobLimits& limits,
+                                                   const BlobBucket& bucket) {
+  std::unique_ptr<BlobStore> store(new BlobStore(folder, database, membership, limits, bucket));
   // Others are at work in a shared store: what Recover removes may be theirs.
   auto recovered = store->shared_ ? store->RemoveLeftovers() : store->Recover();
   if (recovered && store->shared_) recovered = store->CountBytes();
@@ -34,6 +34,7 @@ Result<std::unique_ptr<BlobStore>> BlobStore::Open(DataFolder& folder, Database&
 }
 
 Result<void> BlobStore::Recover() {
+  if (bucket_) return RecoverBucket();
   std::set<std::string> known;
   {
     auto session = database_.Write();
@@ -78,6 +79,15 @@ Result<void> BlobStore::SweepFolder(const std::string& prefix, const std::set<st
 }
 
 Result<void> BlobStore::Reserve(DiskShare& share, BlobKind kind, std::uint64_t bytes) {
+  // What does not fit there could never be sampled.
+  const std::uint64_t most =
+      bucket_ && kind == BlobKind::kModel ? bucket_.cache->limit_bytes() : UINT64_MAX;
+  if (bytes > most || share.bytes() > most - bytes) {
+    return Fail(ErrorCode::kOverBudget, "a model of " + std::to_string(share.bytes() + bytes) +
+                                            " bytes or more: the cache "
+                                            "of what lies in the bucket has " +
+                                            std::to_string(most) + " (--blob-cache)");
+  }
   if (auto free = CheckFreeSpace(bytes); !free) return free;
   if (shared_) (void)CountBytes();  // A count that is old is better than none.
   while (!share.Grow(bytes)) {
@@ -200,6 +210,7 @@ Result<std::optional<BlobStore::Entry>> BlobStore::Find(const std::string& hash)
 }
 
 Result<BlobPin> BlobStore::Adopt(const Adoption& file, DiskShare& share) {
+  if (bucket_) return AdoptInBucket(file, share);
   if (shared_) return AdoptShared(file, share);
   const std::lock_guard lock(mutex_);
   const auto known = Find(file.hash);
@@ -271,7 +282,12 @@ BlobPin BlobStore::PinLocked(const std::string& hash, std::uint64_t size) {
   return BlobPin(this, hash, size);
 }
 
+Result<BlobReader> BlobStore::OpenBlobFile(const std::string& hash) {
+  return bucket_ ? OpenInBucket(hash, /*as_file=*/true) : OpenBlob(hash);
+}
+
 Result<BlobReader> BlobStore::OpenBlob(const std::string& hash) {
+  if (bucket_) return OpenInBucket(hash, /*as_file=*/false);
   auto pinned = PinEntry(hash);
   if (!pinned) return Forward(pinned);
   BlobPin pin = std::move(pinned->first);
@@ -286,7 +302,7 @@ Result<BlobReader> BlobStore::OpenBlob(const std::string& hash) {
     return Fail(ErrorCode::kIo, PathOf(hash) + ": damaged: " + std::to_string(*size) +
                                     " bytes found, expected " + std::to_string(pin.size()));
   }
-  return BlobReader{std::move(pin), std::move(fd)};
+  return BlobReader{std::move(pin), std::move(fd), {}, {}};
 }
 
 bool BlobStore::IsPinned(const std::string& hash) const {
@@ -320,6 +336,7 @@ Result<void> BlobStore::CollectAll() {
 }
 
 void BlobStore::CollectLocked(const std::string& hash) {
+  if (bucket_) return CollectInBucket(hash);
   if (shared_) return CollectShared(hash);
   static const std::string kFind =
       std::string("SELECT size, kind FROM blobs WHERE hash = ? AND ") + kUnreferenced;

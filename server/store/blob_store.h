@@ -1,4 +1,5 @@
-// Files named by the SHA-256 of their content: models as uploaded, results as computed.
+// Files named by the SHA-256 of their content: models as uploaded, results as computed. They lie in
+// the data folder or in a bucket.
 #pragma once
 
 #include <cstdint>
@@ -15,10 +16,13 @@
 
 #include "core/result.h"
 #include "io/sha256.h"
+#include "server/store/blob_cache.h"
 #include "server/store/data_folder.h"
 #include "server/store/database.h"
 #include "server/store/disk_budget.h"
 #include "server/store/membership.h"
+#include "server/store/object_place.h"
+#include "server/store/object_reader.h"
 
 namespace strata::server {
 
@@ -34,6 +38,7 @@ struct BlobLimits {
   /// whichever process. Longer than a pin lasts before the database refers to its blob; should one
   /// last longer after all, the reference is refused, not broken.
   Milliseconds grace = std::chrono::minutes(10);
+  std::uint64_t cache_bytes = std::uint64_t{16} << 30;  ///< Copies here of what lies in a bucket.
 };
 
 class BlobStore;
@@ -65,13 +70,24 @@ class BlobPin {
 /// A blob open for reading. Threads: ReadAt any number at once.
 struct BlobReader {
   BlobPin pin;
-  Fd fd;  ///< Of the whole content, read-only; a child process may inherit it.
+  Fd fd;  ///< Of the whole content, read-only; a child process may inherit it. None with `object`.
+  std::shared_ptr<const void> lease;     ///< Of the cache's copy that `fd` is of.
+  std::shared_ptr<ObjectReader> object;  ///< Of a bucket's blob that no file here holds.
 
   std::uint64_t size() const { return pin.size(); }
-  /// Fills `out` from byte `offset`. Errors: kIo, the end included.
+  /// Fills `out` from byte `offset`. Errors: kIo, the end included; IsBucketAway.
   Result<void> ReadAt(std::uint64_t offset, std::span<char> out) const {
+    if (object) return object->ReadAt(offset, out);
     return ReadFileAt(fd.get(), offset, out, pin.hash());
   }
+};
+
+/// Where blobs lie that do not lie in the data folder; both null: they do. Of the store's owner.
+struct BlobBucket {
+  ObjectPlace* place = nullptr;
+  BlobCache* cache = nullptr;
+
+  explicit operator bool() const { return place != nullptr; }
 };
 
 /// A blob being written, hashed as it passes. Without Commit nothing stays. Threads: one at a time.
@@ -120,13 +136,21 @@ struct BlobRecovery {
 ///
 /// A blob's file is whole and durable before its row is, and its row is gone before its file: after
 /// a crash at any point there is no row without its file, and a file without a row is removed by
-/// the next Open. Threads: any. Locks are taken in the order blobs, database, budget.
+/// the next Open.
+///
+/// In a bucket every object has a name of its own, whichever the database; a blob is put under it
+/// before its row is there. What is to be deleted stands in the table `blob_garbage` from the
+/// transaction on that deletes its row, and SweepGarbage does it. Nothing here waits for the bucket
+/// with a lock held. Files in the data folder are then drafts, and copies in the cache.
+///
+/// Threads: any. Locks are taken in the order blobs, database, budget.
 class BlobStore {
  public:
   /// Removes what no row names and what nothing refers to. `folder` and `database` (migrated) must
   /// outlive it. Errors: kIo, kCorruptInput.
   static Result<std::unique_ptr<BlobStore>> Open(DataFolder& folder, Database& database,
-                                                 Membership& membership, const BlobLimits& limits);
+                                                 Membership& membership, const BlobLimits& limits,
+                                                 const BlobBucket& bucket = {});
 
   /// With `size` known, space is reserved at once: kOverBudget comes before anything is written.
   Result<BlobWriter> NewBlob(BlobKind kind, std::optional<std::uint64_t> size = std::nullopt);
@@ -145,8 +169,11 @@ class BlobStore {
   /// reserved for it, at least its size; it is used up if the blob is new. Errors: kIo.
   Result<BlobPin> Adopt(const Adoption& file, DiskShare& share);
 
-  /// Errors: kNotFound; kIo when the file is not there or of another size.
+  /// Errors: kNotFound; kIo when the file is not there or of another size; IsBucketAway.
   Result<BlobReader> OpenBlob(const std::string& hash);
+  /// The same with `fd`: fetched from the bucket if need be, which takes as long. Errors: also
+  /// kOverBudget (larger than the cache), kCancelled (Meanwhile).
+  Result<BlobReader> OpenBlobFile(const std::string& hash);
   /// Errors: kNotFound.
   Result<BlobPin> Pin(const std::string& hash);
   bool IsPinned(const std::string& hash) const;
@@ -158,6 +185,9 @@ class BlobStore {
   /// In a shared store: removes the files that dead processes left and no row names, in all
   /// folders. Reads every folder. Errors: kIo.
   Result<void> RemoveLeftovers();
+  /// Deletes from the bucket what is due. Errors: those of the bucket; the rest stays due.
+  Result<void> SweepGarbage();
+  const BlobBucket& bucket() const { return bucket_; }
   /// In a shared store: counts anew what is on the disk, for the budgets. Errors: kIo.
   Result<void> CountBytes();
   Membership& membership() { return membership_; }
@@ -184,10 +214,11 @@ class BlobStore {
   friend class BlobPin;
   friend class BlobWriter;
   BlobStore(DataFolder& folder, Database& database, Membership& membership,
-            const BlobLimits& limits)
+            const BlobLimits& limits, const BlobBucket& bucket)
       : folder_(folder),
         database_(database),
         membership_(membership),
+        bucket_(bucket),
         shared_(database.shared()),
         grace_(limits.grace),
         keep_free_bytes_(limits.keep_free_bytes),
@@ -206,8 +237,16 @@ class BlobStore {
   bool HasFile(const std::string& hash, const Entry& entry) const;
   static std::string FileOf(const std::string& hash, const std::string& suffix);
   Result<BlobPin> AdoptShared(const Adoption& file, DiskShare& share);
+  // In a bucket (blob_bucket.cc).
+  Result<void> RecoverBucket();
+  Result<void> RemoveBucketLeftovers();
+  Result<void> AbortUnfinished(const std::set<std::string, std::less<>>& alive);
+  Result<BlobPin> AdoptInBucket(const Adoption& file, DiskShare& share);
+  Result<BlobReader> OpenInBucket(const std::string& hash, bool as_file);
+  void CollectInBucket(const std::string& hash);
+  static std::string ObjectOf(const std::string& hash, const std::string& suffix);
   Result<std::string> InsertShared(const Adoption& file, const std::string& suffix,
-                                   const std::string& damaged);
+                                   const std::string& damaged, bool& certain);
   Result<bool> Touch(const std::string& hash, std::int64_t touched);
   void CollectShared(const std::string& hash);
   Result<void> CheckFreeSpace(std::uint64_t bytes) const;
@@ -221,6 +260,7 @@ class BlobStore {
   DataFolder& folder_;
   Database& database_;
   Membership& membership_;
+  const BlobBucket bucket_;
   const bool shared_;
   const Milliseconds grace_;
   std::uint64_t keep_free_bytes_;

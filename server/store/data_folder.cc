@@ -23,12 +23,31 @@ Result<std::unique_ptr<DataFolder>> DataFolder::Open(const std::string& path) {
     return Fail(ErrorCode::kConflict,
                 path + ": belongs to a database that several processes share: give --database");
   }
-  // The lock says that whoever wrote these is dead.
-  auto emptied = ForEachName(folder->incoming_.get(), [&](const std::string& name) {
-    io::RemoveTree(folder->incoming_.get(), name.c_str());
-  });
-  if (!emptied) return Forward(emptied);
+  if (auto emptied = folder->Empty(folder->incoming_); !emptied) return Forward(emptied);
   return folder;
+}
+
+Result<std::unique_ptr<DataFolder>> DataFolder::OpenOwn(const std::string& path) {
+  std::unique_ptr<DataFolder> folder(new DataFolder);
+  if (auto begun = folder->Begin(path, LOCK_EX); !begun) return Forward(begun);
+  for (const char* const mark : {"strata.db", kIdFile}) {
+    if (faccessat(folder->root_.get(), mark, F_OK, 0) != 0) continue;
+    return Fail(ErrorCode::kConflict,
+                path + ": holds a store (" + mark +
+                    "); expected a folder of this process's own: the store's content lies in a "
+                    "bucket");
+  }
+  // Unfinished uploads go on from what lies in the bucket.
+  for (const Fd* const inner : {&folder->incoming_, &folder->uploads_}) {
+    if (auto emptied = folder->Empty(*inner); !emptied) return Forward(emptied);
+  }
+  return folder;
+}
+
+// The lock says that whoever wrote what lies there is dead.
+Result<void> DataFolder::Empty(const Fd& inner) const {
+  return ForEachName(inner.get(),
+                     [&](const std::string& name) { io::RemoveTree(inner.get(), name.c_str()); });
 }
 
 Result<std::unique_ptr<DataFolder>> DataFolder::OpenShared(const std::string& path,

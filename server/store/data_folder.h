@@ -17,6 +17,7 @@ namespace strata::server {
 ///     blobs/ab/…  files named by the SHA-256 of their content: 2 digits, then 62
 ///     incoming/   files being written; emptied at the start
 ///     uploads/ID  the bytes of unfinished resumable uploads
+///     cache/HASH  with a bucket: copies of what lies in it; there is nothing in blobs/ then
 ///
 /// In a shared folder a file's name tells who made it (Membership::NewName): blobs/ab/….NAME,
 /// incoming/NAME, uploads/NAME. There is no strata.db.
@@ -33,11 +34,18 @@ class DataFolder {
   static Result<std::unique_ptr<DataFolder>> OpenShared(const std::string& path,
                                                         const std::string& id, bool known);
 
+  /// The folder of one of the processes that share a database and a bucket: its own alone, for
+  /// drafts and copies. Errors: kConflict when a living process has the lock, or where a store
+  /// lies.
+  static Result<std::unique_ptr<DataFolder>> OpenOwn(const std::string& path);
+
   const std::string& path() const { return path_; }
   std::string database_path() const { return path_ + "/strata.db"; }
   /// Where a program that writes a file by name (a sampling process) may put it; see
   /// BlobStore::Import.
   std::string incoming_path() const { return path_ + "/incoming"; }
+  /// Makes and opens cache/.
+  Result<Fd> OpenCache() const { return OpenFolder(root_.get(), "cache"); }
   const Fd& root() const { return root_; }
   const Fd& blobs() const { return blobs_; }
   const Fd& incoming() const { return incoming_; }
@@ -49,6 +57,7 @@ class DataFolder {
   Result<void> Begin(const std::string& path, int lock_operation);
   Result<void> Claim(const std::string& id, bool known);
   Result<void> OpenInner();
+  Result<void> Empty(const Fd& inner) const;
 
   std::string path_;
   Fd root_, lock_, blobs_, incoming_, uploads_;

@@ -106,7 +106,7 @@ std::string ModelStore::FormatOf(int fd, const std::string& name) const {
 Result<PutModel> ModelStore::Put(const std::string& name, const BlobPin& blob,
                                  const ModelCondition& condition) {
   if (auto writable = CheckWritable(name); !writable) return Forward(writable);
-  const auto content = blobs_.OpenBlob(blob.hash());
+  const auto content = blobs_.OpenBlobFile(blob.hash());
   if (!content) return Forward(content);
   PutModel put;
   const Timestamp now = clock_.Now();
@@ -136,34 +136,53 @@ Result<PutModel> ModelStore::Put(const std::string& name, const BlobPin& blob,
 }
 
 Result<ModelInfo> ModelStore::Get(const std::string& name) {
-  auto model = Open(name);
+  auto model = Open(name, ModelUse::kName);
   if (!model) return Forward(model);
   return model->info;
 }
 
-Result<OpenModel> ModelStore::Open(const std::string& name) {
+Result<OpenModel> ModelStore::OpenContent(ModelInfo info, ModelUse use) {
+  OpenModel model;
+  const std::string hash = info.hash;
+  model.info = std::move(info);
+  // In a folder, to open it is to see that it is there.
+  if (use == ModelUse::kName && blobs_.bucket()) {
+    auto pin = blobs_.Pin(hash);
+    if (!pin) return Forward(pin);
+    model.pin = std::move(*pin);
+    return model;
+  }
+  auto content = use == ModelUse::kFile ? blobs_.OpenBlobFile(hash) : blobs_.OpenBlob(hash);
+  if (!content) return Forward(content);
+  model.fd = std::move(content->fd);
+  model.pin = std::move(content->pin);
+  model.lease = std::move(content->lease);
+  model.object = std::move(content->object);
+  return model;
+}
+
+Result<OpenModel> ModelStore::Open(const std::string& name, ModelUse use) {
   if (auto valid = CheckModelName(name); !valid) return Forward(valid);
   // The content may be replaced and collected between the two steps; then there is newer content.
   for (int attempt = 0; attempt < 100; ++attempt) {
     const auto stored = FindNow(name);
     if (!stored) return Forward(stored);
     if (!*stored) return OpenFile(name);
-    auto content = blobs_.OpenBlob((*stored)->hash);
-    if (content) return OpenModel{**stored, std::move(content->fd), std::move(content->pin)};
-    if (content.error().code != ErrorCode::kNotFound) return Forward(content);
+    auto model = OpenContent(**stored, use);
+    if (model || model.error().code != ErrorCode::kNotFound) return model;
   }
   return Fail(ErrorCode::kConflict, "model " + name + ": replaced again and again while opened");
 }
 
 Result<OpenModel> ModelStore::OpenVersion(const std::string& name, const std::string& hash) {
   if (!IsHash(hash)) return Fail(ErrorCode::kInvalidArgument, "SHA-256: not 64 hex digits");
-  auto content = blobs_.OpenBlob(hash);
+  ModelInfo info;
+  info.name = name;
+  info.hash = hash;
+  auto content = OpenContent(info, ModelUse::kFile);
   if (content) {
-    ModelInfo info;
-    info.name = name;
-    info.hash = hash;
-    info.size = content->size();
-    return OpenModel{info, std::move(content->fd), std::move(content->pin)};
+    content->info.size = content->pin.size();
+    return content;
   }
   if (content.error().code != ErrorCode::kNotFound) return Forward(content);
   auto model = Open(name);
@@ -184,7 +203,7 @@ Result<OpenModel> ModelStore::OpenFile(const std::string& name) {
   if (!hash) return Forward(hash);
   info.hash = std::move(*hash);
   info.format = FormatOf(file->fd.get(), name);
-  return OpenModel{std::move(info), std::move(file->fd), {}};
+  return OpenModel{std::move(info), std::move(file->fd), {}, {}, {}};
 }
 
 std::optional<std::string> ModelStore::KnownHash(const std::string& name,

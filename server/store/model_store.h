@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -52,8 +53,22 @@ struct ModelPage {
 /// A model open for reading.
 struct OpenModel {
   ModelInfo info;
-  Fd fd;        ///< Of the whole content, read-only; a child process may inherit it.
+  Fd fd;        ///< Of the whole content, read-only; a child process may inherit it. See ModelUse.
   BlobPin pin;  ///< Empty for a file of the repository.
+  std::shared_ptr<const void> lease;     ///< As BlobReader's.
+  std::shared_ptr<ObjectReader> object;  ///< As BlobReader's.
+
+  /// Fills `out` from byte `offset`; not of what was opened for ModelUse::kName. Errors: kIo.
+  Result<void> ReadAt(std::uint64_t offset, std::span<char> out) const {
+    return object ? object->ReadAt(offset, out) : ReadFileAt(fd.get(), offset, out, info.name);
+  }
+};
+
+/// What a model is opened for, which says how much of it must be at hand.
+enum class ModelUse : std::uint8_t {
+  kFile,   ///< `fd`, for another process; from a bucket it is fetched whole.
+  kBytes,  ///< ReadAt.
+  kName,   ///< What its content is, which stays while `pin` lives; nothing is opened.
 };
 
 /// The models of a service. A model that was put shadows a file of the repository that comes later
@@ -81,7 +96,7 @@ class ModelStore {
   /// it. Errors: kInvalidArgument (name), kNotFound, kConflict (the file changed while it was
   /// read), kIo.
   Result<ModelInfo> Get(const std::string& name);
-  Result<OpenModel> Open(const std::string& name);
+  Result<OpenModel> Open(const std::string& name, ModelUse use = ModelUse::kFile);
   /// The content with this hash, also when `name` has another now or is gone but a job still refers
   /// to the content. Errors: as Open; kNotFound when the content is gone.
   Result<OpenModel> OpenVersion(const std::string& name, const std::string& hash);
@@ -97,6 +112,7 @@ class ModelStore {
  private:
   Result<std::optional<ModelInfo>> Find(Session& session, const std::string& name) const;
   Result<std::optional<ModelInfo>> FindNow(const std::string& name) const;
+  Result<OpenModel> OpenContent(ModelInfo info, ModelUse use);
   Result<OpenModel> OpenFile(const std::string& name);
   Result<std::string> HashOf(const std::string& name, const RepositoryFile& file);
   std::optional<std::string> KnownHash(const std::string& name, const std::string& fingerprint);

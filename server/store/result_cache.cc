@@ -84,6 +84,7 @@ Result<std::optional<CachedResult>> ResultCache::Lookup(const std::string& key) 
   if (!asked) return Forward(asked);
   if (hash.empty()) return std::nullopt;
   auto content = parts_.blobs.OpenBlob(hash);
+  if (!content && IsStoreAway(content.error())) return Forward(content);
   // Evicted since, or damaged from outside: both are mended by computing it again.
   if (!content) return std::nullopt;
   result.content = std::move(*content);

@@ -76,8 +76,15 @@ CREATE TABLE attempts (
 ) STRICT, WITHOUT ROWID;
 )";
 
+// What tells this store's bucket from others', and what is to be deleted from it.
+constexpr const char* kVersion3 = R"(
+CREATE TABLE store (id TEXT NOT NULL, bucket INTEGER NOT NULL) STRICT;
+INSERT INTO store VALUES (lower(hex(randomblob(16))), 0);
+CREATE TABLE blob_garbage (name TEXT PRIMARY KEY) STRICT, WITHOUT ROWID;
+)";
+
 // Step i leads from version i to i + 1. A step that has been released is never changed.
-constexpr std::array kSteps = {kVersion1, kVersion2};
+constexpr std::array kSteps = {kVersion1, kVersion2, kVersion3};
 
 // --- PostgreSQL ----------------------------------------------------------------------------------
 
@@ -155,7 +162,18 @@ END $$;
 CREATE TRIGGER tell AFTER DELETE ON flights FOR EACH ROW EXECUTE FUNCTION tell_of_flight();
 )";
 
-constexpr std::array kPostgresSteps = {kPostgres1};
+// Blobs in a bucket: whether they are, what is to be deleted from it, and the pieces that
+// unfinished uploads have there.
+constexpr const char* kPostgres2 = R"(
+ALTER TABLE meta ADD COLUMN bucket BIGINT NOT NULL DEFAULT 0;
+CREATE TABLE blob_garbage (name TEXT PRIMARY KEY);
+CREATE TABLE upload_pieces (
+  upload TEXT NOT NULL REFERENCES uploads(id), "offset" BIGINT NOT NULL, size BIGINT NOT NULL,
+  name TEXT NOT NULL, PRIMARY KEY (upload, "offset")
+);
+)";
+
+constexpr std::array kPostgresSteps = {kPostgres1, kPostgres2};
 
 Result<std::int64_t> Pragma(Session& session, const std::string& name) {
   std::int64_t value = 0;

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "server/store/bucket_claim.h"
 #include "server/store/schema.h"
 
 namespace strata::server {
@@ -24,15 +25,29 @@ Result<std::unique_ptr<Store>> Store::Open(const StoreOptions& options, const Cl
   return store;
 }
 
-Result<void> Store::OpenFiles() {
-  if (options_.shared) {
-    if (auto opened = OpenShared(); !opened) return opened;
-  } else {
-    if (auto opened = Take(DataFolder::Open(options_.data), folder_); !opened) return opened;
-    auto opened = Take(Database::Open(folder_->database_path(), *clock_), database_);
+Result<void> Store::OpenDatabase() {
+  if (options_.shared) return OpenShared();
+  if (auto opened = Take(DataFolder::Open(options_.data), folder_); !opened) return opened;
+  auto opened = Take(Database::Open(folder_->database_path(), *clock_), database_);
+  if (!opened) return opened;
+  return Migrate(*database_);
+}
+
+Result<void> Store::OpenBucket() {
+  if (options_.bucket) {
+    auto opened = Take(options_.bucket(options_.data), place_);
     if (!opened) return opened;
-    if (auto migrated = Migrate(*database_); !migrated) return migrated;
+    auto folder = folder_->OpenCache();
+    if (!folder) return Forward(folder);
+    auto cached = Take(BlobCache::Open(*std::move(folder), options_.blobs.cache_bytes), cache_);
+    if (!cached) return cached;
   }
+  return ClaimBucket(*database_, place_.get());
+}
+
+Result<void> Store::OpenFiles() {
+  if (auto opened = OpenDatabase(); !opened) return opened;
+  if (auto opened = OpenBucket(); !opened) return opened;
   const Milliseconds lease = options_.shared ? options_.shared->lease : Milliseconds(0);
   if (auto joined = Take(Membership::Join(*database_, lease), membership_); !joined) return joined;
   if (options_.models.empty()) return {};
@@ -49,6 +64,7 @@ Result<void> Store::OpenShared() {
   }
   const auto store = MigrateShared(*database_, postgres.schema);
   if (!store) return Forward(store);
+  if (options_.bucket) return Take(DataFolder::OpenOwn(options_.data), folder_);
   auto opened = Take(DataFolder::OpenShared(options_.data, store->id, store->has_folder), folder_);
   if (!opened || store->has_folder) return opened;
   auto noted = database_->Read().Run("UPDATE meta SET folder = 1");
@@ -57,7 +73,9 @@ Result<void> Store::OpenShared() {
 }
 
 Result<void> Store::OpenStores() {
-  if (auto o = Take(BlobStore::Open(*folder_, *database_, *membership_, options_.blobs), blobs_);
+  const BlobBucket bucket{place_.get(), cache_.get()};
+  if (auto o =
+          Take(BlobStore::Open(*folder_, *database_, *membership_, options_.blobs, bucket), blobs_);
       !o) {
     return o;
   }
@@ -87,24 +105,32 @@ void Store::Listen() {
   listener_ = database_->Listen(std::move(listening));
 }
 
-Result<void> Store::Check() {
+Result<void> Store::CheckDatabase() {
   if (options_.shared) return CheckShared(*database_);
   auto asked = database_->Read().Query("SELECT 1", [](const Row&) {});
   if (!asked) return Forward(asked);
   return {};
 }
 
+Result<void> Store::Check() {
+  if (auto checked = CheckDatabase(); !checked) return checked;
+  return place_ ? place_->Check() : Result<void>();
+}
+
 // Every process sweeps: which one finds a dead one first does not matter.
 Result<void> Store::MaintainShared() {
-  constexpr auto kSweepEvery = std::chrono::minutes(10);
+  // A list of a bucket costs money.
+  const auto sweep_every = place_ ? std::chrono::minutes(60) : std::chrono::minutes(10);
   if (auto renewed = membership_->Renew(); !renewed) return renewed;
   if (database_clock_) static_cast<void>(database_clock_->Refresh());
   const auto expired = membership_->ExpireOthers();
   if (!expired) return Forward(expired);
   const auto now = std::chrono::steady_clock::now();
-  if (*expired == 0 && now - swept_ < kSweepEvery) return {};
+  if (*expired == 0 && now - swept_ < sweep_every) return {};
   swept_ = now;
-  return blobs_->RemoveLeftovers();
+  if (!place_) return blobs_->RemoveLeftovers();
+  sweep_is_due_ = true;
+  return {};
 }
 
 Result<void> Store::Maintain() {
@@ -117,12 +143,23 @@ Result<void> Store::Maintain() {
     // The others would wait for the database in turn; they find it next time.
     if (!result && IsDatabaseAway(result.error())) return result;
   }
-  note(uploads_->RemoveExpired());
+  if (!place_) note(uploads_->RemoveExpired());
   note(jobs_->ExpireLeases());
   note(jobs_->Purge(clock_->Now() - options_.job_retention));
   note(results_->Flush());
   note(blobs_->CollectAll());
   return result;
+}
+
+Result<void> Store::TendBucket() {
+  if (!place_) return {};
+  if (auto checked = place_->Check(); !checked) return checked;
+  if (auto removed = uploads_->RemoveExpired(); !removed) return Forward(removed);
+  if (auto swept = blobs_->SweepGarbage(); !swept) return swept;
+  if (!sweep_is_due_.exchange(false)) return {};
+  auto removed = blobs_->RemoveLeftovers();
+  if (!removed) sweep_is_due_ = true;
+  return removed;
 }
 
 }  // namespace strata::server

@@ -115,6 +115,7 @@ Result<void> UploadAppend::WriteChecked(std::string_view bytes) {
 }
 
 Result<void> UploadAppend::MakeDurable() {
+  if (store_->pieces_) return store_->StorePiece(*entry_, fd_.get(), position_);
   if (fdatasync(fd_.get()) != 0) {
     return FailSystem("uploads/" + entry_->info.id, "cannot be synced to disk", errno);
   }

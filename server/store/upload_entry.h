@@ -22,6 +22,8 @@ struct UploadAppend::Entry {
   /// file is read once more.
   std::optional<io::Hasher> hasher;
   std::uint64_t hashed = 0;
+  /// Where pieces lie in a bucket: the bytes from here on are also in this process's own file.
+  std::uint64_t here = 0;
   bool busy = false;  ///< Somebody changes it; nobody else may.
   std::atomic<bool> stop{false};
 };

@@ -1,12 +1,15 @@
 // UploadStore where several processes share the folder.
 #include <fcntl.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <array>
 #include <cerrno>
+#include <ctime>
 
 #include "io/output_place.h"
 #include "server/store/upload_entry.h"
+#include "server/store/upload_pieces.h"
 
 namespace strata::server {
 namespace {
@@ -49,7 +52,10 @@ Result<void> UploadStore::Load(const std::string& id) {
     entry->share = NewShare();
   }
   // Bytes came by another process, or these here were not kept: the hash is not of what is there.
-  if (entry->info.offset != info->offset || entry->info.file != info->file) entry->hasher.reset();
+  if (entry->info.offset != info->offset || entry->info.file != info->file) {
+    entry->hasher.reset();
+    entry->here = info->offset;
+  }
   if (info->offset == 0 && !entry->hasher) {
     entry->hasher.emplace();
     entry->hashed = 0;
@@ -92,11 +98,14 @@ Result<void> UploadStore::Hold(Entry& entry) {
   {
     const std::lock_guard lock(mutex_);
     unreleased_.erase(id);
-    if (entry.info.offset != info->offset) entry.hasher.reset();
+    if (entry.info.offset != info->offset) {
+      entry.hasher.reset();
+      entry.here = info->offset;
+    }
     entry.info = *info;
     entry.info.holder = mine;
   }
-  if (former.empty() || former == mine || !entry.info.hash.empty()) return {};
+  if (pieces_ || former.empty() || former == mine || !entry.info.hash.empty()) return {};
   auto taken = TakeOver(entry, former);
   if (!taken) LetGo(entry);
   return taken;
@@ -199,18 +208,69 @@ Result<std::size_t> UploadStore::RemoveExpiredShared() {
   const auto expired = Abandoned("expires <= ?");
   if (!expired) return Forward(expired);
   for (const std::string& id : *expired) {
-    std::string file;
-    auto deleted = parts_.database.Read().Query(
-        std::string("DELETE FROM uploads WHERE id = ? AND ") + kFree + " RETURNING file",
+    if (auto removed = RemoveUnheld(id); !removed) return Forward(removed);
+  }
+  if (auto removed = RemoveOldCopies(); !removed) return Forward(removed);
+  return expired->size();
+}
+
+Result<void> UploadStore::RemoveUnheld(const std::string& id) {
+  std::string file;
+  {
+    auto session = parts_.database.WriteRows();
+    if (!session) return Forward(session);
+    bool free = false;
+    auto locked = session->Query(
+        std::string("SELECT 1 FROM uploads WHERE id = ? AND ") + kFree + " FOR UPDATE",
+        [&](const Row&) { free = true; }, id);
+    if (!locked) return Forward(locked);
+    if (!free) return {};
+    if (pieces_) {
+      if (auto doomed = UploadPieces::Doom(*session, id); !doomed) return doomed;
+    }
+    auto deleted = session->Query(
+        "DELETE FROM uploads WHERE id = ? RETURNING file",
         [&](const Row& row) { file = row.Text(0); }, id);
     if (!deleted) return Forward(deleted);
-    if (!file.empty()) unlinkat(parts_.folder.uploads().get(), file.c_str(), 0);
-    const std::lock_guard lock(mutex_);
-    if (const auto found = entries_.find(id); found != entries_.end() && !found->second->busy) {
-      entries_.erase(found);
-    }
+    if (auto committed = session->Commit(); !committed) return committed;
   }
-  return expired->size();
+  if (!file.empty()) unlinkat(parts_.folder.uploads().get(), file.c_str(), 0);
+  const std::lock_guard lock(mutex_);
+  if (const auto found = entries_.find(id); found != entries_.end() && !found->second->busy) {
+    entries_.erase(found);
+  }
+  return {};
+}
+
+// --- Pieces in a bucket --------------------------------------------------------------------------
+
+Result<void> UploadStore::StorePiece(Entry& entry, int fd, std::uint64_t end) {
+  if (end == entry.info.offset) return StoreOffset(entry, end);
+  UploadInfo info = entry.info;  // Only who has the entry occupied changes it.
+  if (auto added = pieces_->Add(info, fd, end, Expiry()); !added) return added;
+  const std::lock_guard lock(mutex_);
+  entry.info = info;
+  return {};
+}
+
+// An upload that went on, and ended, elsewhere leaves a file here. One that is being made has no
+// row yet, but is young.
+Result<void> UploadStore::RemoveOldCopies() {
+  if (!pieces_) return {};
+  constexpr std::time_t kYoungSeconds = 600;
+  const int folder = parts_.folder.uploads().get();
+  std::set<std::string> old;
+  auto listed = ForEachName(folder, [&](const std::string& name) {
+    struct stat status;
+    if (fstatat(folder, name.c_str(), &status, AT_SYMLINK_NOFOLLOW) != 0) return;
+    if (status.st_mtim.tv_sec < std::time(nullptr) - kYoungSeconds) old.insert(name);
+  });
+  if (!listed || old.empty()) return listed;
+  auto rows = parts_.database.Read().Query("SELECT file FROM uploads WHERE hash IS NULL",
+                                           [&](const Row& row) { old.erase(row.Text(0)); });
+  if (!rows) return Forward(rows);
+  for (const std::string& name : old) unlinkat(folder, name.c_str(), 0);
+  return {};
 }
 
 }  // namespace strata::server

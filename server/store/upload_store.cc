@@ -11,6 +11,7 @@
 #include "io/output_place.h"
 #include "server/store/model_name.h"
 #include "server/store/upload_entry.h"
+#include "server/store/upload_pieces.h"
 
 namespace strata::server {
 namespace {
@@ -45,6 +46,14 @@ std::optional<std::int64_t> LengthOf(const UploadInfo& info) {
 }
 
 }  // namespace
+
+UploadStore::UploadStore(const Parts& parts, const UploadLimits& limits)
+    : parts_(parts),
+      limits_(limits),
+      shared_(parts.database.shared()),
+      pieces_(shared_ && parts.blobs.bucket()
+                  ? std::make_unique<UploadPieces>(parts.database, parts.blobs)
+                  : nullptr) {}
 
 UploadStore::~UploadStore() = default;
 
@@ -100,7 +109,9 @@ Result<void> UploadStore::RemoveStrangers() {
 
 Result<Fd> UploadStore::OpenFile(const UploadInfo& info, int more_flags) const {
   const std::string& name = FileOf(info);
-  const int flags = O_RDWR | O_NOFOLLOW | O_CLOEXEC | more_flags;
+  // Of an upload in pieces another process may have had all the bytes until now.
+  const int copy = pieces_ ? O_CREAT : 0;
+  const int flags = O_RDWR | O_NOFOLLOW | O_CLOEXEC | copy | more_flags;
   Fd fd(openat(parts_.folder.uploads().get(), name.c_str(), flags, 0600));
   if (!fd) {
     return Fail(ErrorCode::kIo,
@@ -208,6 +219,9 @@ Result<void> UploadStore::Update(Entry& entry, const UploadInfo& info) {
     if (*updated != 1) {
       return Fail(ErrorCode::kConflict,
                   "upload " + info.id + ": another process took it over; go on from its offset");
+    }
+    if (pieces_ && !info.hash.empty()) {
+      if (auto doomed = UploadPieces::Doom(*session, info.id); !doomed) return doomed;
     }
     if (auto committed = session->Commit(); !committed) return committed;
   }
@@ -339,6 +353,11 @@ Result<std::string> UploadStore::HashOf(Entry& entry) {
   }
   const auto fd = OpenFile(entry.info);
   if (!fd) return Forward(fd);
+  if (pieces_ && entry.here > 0) {
+    auto fetched = pieces_->Fetch(entry.info.id, fd->get(), entry.here);
+    if (!fetched) return Forward(fetched);
+    entry.here = 0;
+  }
   return HashFile(fd->get(), size, "uploads/" + entry.info.id);
 }
 
@@ -374,6 +393,9 @@ Result<void> UploadStore::Remove(Entry& entry) {
   {
     auto session = parts_.database.Write();
     if (!session) return Forward(session);
+    if (pieces_) {
+      if (auto doomed = UploadPieces::Doom(*session, id); !doomed) return doomed;
+    }
     auto deleted =
         session->Run("DELETE FROM uploads WHERE id = ? AND holder = ?", id, entry.info.holder);
     if (!deleted) return Forward(deleted);

@@ -57,6 +57,7 @@ struct UploadChecksum {
 };
 
 class UploadStore;
+class UploadPieces;
 
 /// One request's bytes on their way into an upload. Destroyed without Finish it keeps what came,
 /// unless a checksum was announced, which nothing has then fulfilled.
@@ -102,7 +103,8 @@ class UploadAppend {
 /// every change of the row asks for that: a process that was away for longer than its lease and
 /// lost the upload changes nothing any more. What it may still write goes to a file that nobody
 /// reads: who takes over from a holder that never let go copies the durable bytes to a file of its
-/// own.
+/// own. Where the processes share a bucket and no folder, the durable bytes are objects in it
+/// (UploadPieces), and a file here is a copy of some of them.
 class UploadStore {
  public:
   struct Parts {
@@ -148,8 +150,7 @@ class UploadStore {
  private:
   friend class UploadAppend;
   using Entry = UploadAppend::Entry;
-  UploadStore(const Parts& parts, const UploadLimits& limits)
-      : parts_(parts), limits_(limits), shared_(parts.database.shared()) {}
+  UploadStore(const Parts& parts, const UploadLimits& limits);
 
   /// The name of an upload's file in uploads/.
   static const std::string& FileOf(const UploadInfo& info) {
@@ -165,6 +166,9 @@ class UploadStore {
   Result<void> LetGoOf(const std::string& id, bool busy);
   Result<std::vector<std::string>> Abandoned(const std::string& condition);
   Result<std::size_t> RemoveExpiredShared();
+  Result<void> RemoveUnheld(const std::string& id);
+  Result<void> StorePiece(Entry& entry, int fd, std::uint64_t end);
+  Result<void> RemoveOldCopies();
 
   Result<void> Recover();
   Result<void> Resume(const UploadInfo& info);
@@ -188,6 +192,7 @@ class UploadStore {
   Parts parts_;
   UploadLimits limits_;
   const bool shared_;
+  const std::unique_ptr<UploadPieces> pieces_;  // Null: the bytes lie in the folder.
   std::mutex mutex_;  // Guards entries_, unreleased_, and each entry's `busy` and `info`.
   std::set<std::string> unreleased_;  // Held, though nobody here is at them: the database was away.
   std::unordered_map<std::string, std::shared_ptr<Entry>> entries_;

@@ -117,11 +117,13 @@ class Memory:
             return refusal(412, 'PreconditionFailed')
         headers = {'ETag': f'"{etag}"', 'Last-Modified': 'Thu, 01 Jan 2026 00:00:00 GMT'}
         if 'range' in request.headers:
-            first = int(request.headers['range'].removeprefix('bytes=').rstrip('-'))
-            if first >= len(body):
+            first, _, last = request.headers['range'].removeprefix('bytes=').partition('-')
+            part = body[int(first):int(last) + 1 if last else None]
+            if not part:
                 return refusal(416, 'InvalidRange')
-            headers['Content-Range'] = f'bytes {first}-{len(body) - 1}/{len(body)}'
-            return Answer(206, body[first:], headers)
+            headers['Content-Range'] = (f'bytes {first}-{int(first) + len(part) - 1}/'
+                                        f'{len(body)}')
+            return Answer(206, part, headers)
         return Answer(200, body, headers)
 
     def _delete(self, request):

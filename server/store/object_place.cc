@@ -1,0 +1,27 @@
+#include "server/store/object_place.h"
+
+#include <utility>
+
+#include "server/store/database.h"
+
+namespace strata::server {
+namespace {
+
+thread_local Meanwhile* innermost = nullptr;
+
+}  // namespace
+
+bool IsBucketAway(const Error& error) {
+  return error.code == ErrorCode::kIo && error.message.starts_with(kBucketAway);
+}
+
+bool IsStoreAway(const Error& error) { return IsBucketAway(error) || IsDatabaseAway(error); }
+
+Meanwhile::Meanwhile(std::function<bool()> gone)
+    : gone_(std::move(gone)), outer_(std::exchange(innermost, this)) {}
+
+Meanwhile::~Meanwhile() { innermost = outer_; }
+
+bool Meanwhile::Gone() { return innermost != nullptr && innermost->gone_ && innermost->gone_(); }
+
+}  // namespace strata::server
