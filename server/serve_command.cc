@@ -178,7 +178,7 @@ Result<void> RunNode(std::span<const std::string> arguments, ServeMode mode) {
     if (mode == ServeMode::kWorker) running.service->AnswerProbesAlone();
   }
   if (command.batches) {
-    auto batches = BatchService::Start(*command.batches, *running.service);
+    auto batches = BatchService::Start(*command.batches, *running.service, running.stored->store());
     // Beside another process on the same folder this one serves all else.
     const bool others = !batches && batches.error().code == ErrorCode::kConflict;
     if (!batches && !others) return Forward(batches);

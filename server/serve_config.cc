@@ -248,6 +248,23 @@ std::optional<StoreOptions> StoreOptionsOf(Reader& read, const ServiceLimits& li
   return std::nullopt;
 }
 
+/// What lets any process that shares the store go on with a batch.
+void ShareBatches(const Reader& read, const StoreOptions& store, BatchServiceOptions& batches) {
+  batches.lease = store.shared->lease;
+  batches.most_attempts = store.jobs.max_attempts;
+  if (!store.bucket) return;
+  std::string url = read.Text("blobs");
+  while (url.ends_with('/')) url.pop_back();
+  batches.bucket = url + "/batches";
+  batches.s3_insecure = read.Text("s3-insecure") == "on";
+  const auto config = LoadS3Config(std::getenv, batches.s3_insecure);
+  if (!config) return;  // ReadBucket has said so.
+  batches.bucket_environment = {"AWS_ACCESS_KEY_ID=" + config->access_key,
+                                "AWS_SECRET_ACCESS_KEY=" + config->secret_key};
+  if (config->session_token.empty()) return;
+  batches.bucket_environment.push_back("AWS_SESSION_TOKEN=" + config->session_token);
+}
+
 /// Over the repository, if there is one; a batch takes the part of one job, or the least that it
 /// needs.
 std::optional<BatchServiceOptions> BatchesOf(Reader& read, const ServiceLimits& limits) {
@@ -436,6 +453,9 @@ Result<ServeCommand> CheckServe(const ServeTexts& texts, ServeMode mode) {
   command.limits = ServiceLimitsOf(read);
   command.store = StoreOptionsOf(read, command.limits);
   command.batches = BatchesOf(read, command.limits);
+  if (command.batches && command.store && command.store->shared) {
+    ShareBatches(read, *command.store, *command.batches);
+  }
   if (read.Has("scratch")) command.scratch = read.Text("scratch");
   command.log_format = static_cast<LogFormat>(read.OneOf("log-format", {"text", "json"}));
   command.log_level =

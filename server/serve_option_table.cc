@@ -93,8 +93,10 @@ constexpr std::array<ServeOption, 43> kOptions = {{
      "A job that was begun so often and never ended has failed. 1 to 1000.", "",
      "20, with database 3"},
     {"models", "DIR", kStore, "Meshes to offer, read only, by their names in it. Needs data.", ""},
-    {"batches", "DIR", kStore, "Where batches over models keep their outputs.", "",
-     "the folder batches in data"},
+    {"batches", "DIR", kStore,
+     "Where batches over models keep their outputs; with database a folder\n"
+     "that all share, or with blobs drafts alone.",
+     "", "the folder batches in data"},
     {"model-disk", "SIZE", kStore, "Of uploaded models, unfinished ones included.", "64G"},
     {"result-disk", "SIZE", kStore,
      "Of results; the least recently used of those no job has go first.", "16G"},
@@ -113,13 +115,12 @@ constexpr std::array<ServeOption, 43> kOptions = {{
 std::span<const ServeOption> ServeOptions() { return kOptions; }
 
 bool IsWorkerOption(std::string_view name) {
-  constexpr std::array<std::string_view, 23> kNames = {
-      "blobs",       "blob-cache", "s3-insecure",  //
-      "http",        "jobs",       "memory",      "job-memory",
-      "job-threads", "job-time",   "result-size", "isolate",
-      "data",        "database",   "lease",       "max-attempts",
-      "models",      "model-disk", "result-disk", "database-password-file",
-      "scratch",     "log-format", "log-level",   "drain-timeout"};
+  constexpr std::array<std::string_view, 24> kNames = {
+      "blobs",        "blob-cache", "s3-insecure", "batches",      "http",
+      "jobs",         "memory",     "job-memory",  "job-threads",  "job-time",
+      "result-size",  "isolate",    "data",        "database",     "lease",
+      "max-attempts", "models",     "model-disk",  "result-disk",  "database-password-file",
+      "scratch",      "log-format", "log-level",   "drain-timeout"};
   return std::ranges::find(kNames, name) != kNames.end();
 }
 

@@ -27,7 +27,7 @@ Result<pid_t> StartBatchChild(const BatchChildPlan& plan) {
   child.Give(output, 1);
   child.Give(output, 2);
   pid_t id = -1;
-  if (const int failed = child.Run(std::move(words), id); failed != 0) {
+  if (const int failed = child.Run(std::move(words), id, plan.environment); failed != 0) {
     return Fail(ErrorCode::kIo, "cannot start a batch: " + io::SystemReason(failed));
   }
   return id;

@@ -14,7 +14,8 @@ namespace strata::server {
 /// Precondition: the options have been checked.
 struct BatchChildPlan {
   std::vector<std::string> arguments;
-  std::string log;  ///< A file for what it says; replaced.
+  std::string log;                       ///< A file for what it says; replaced.
+  std::vector<std::string> environment;  ///< "NAME=VALUE" besides this process's own.
 };
 
 /// The internal command of such a process: kBatchChildCommand PARENT ARGUMENTS…

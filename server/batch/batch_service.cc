@@ -2,28 +2,22 @@
 
 #include <fcntl.h>
 #include <google/protobuf/util/time_util.h>
-#include <signal.h>
 #include <sys/file.h>
 #include <sys/stat.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <cerrno>
 #include <filesystem>
 #include <fstream>
-#include <nlohmann/json.hpp>
 #include <sstream>
 #include <utility>
 #include <vector>
 
 #include "io/atomic_file.h"
 #include "io/output_place.h"
-#include "server/batch/batch_child.h"
-#include "server/batch/model_options.h"
+#include "server/batch/manifest.h"
 #include "server/service/canonical_options.h"
-#include "server/service/log.h"
 #include "server/service/wire_options.h"
 #include "server/store/file.h"
 #include "server/store/model_name.h"
@@ -38,13 +32,6 @@ using SteadyClock = std::chrono::steady_clock;
 using google::protobuf::util::TimeUtil;
 constexpr std::chrono::milliseconds kTick{50};
 constexpr std::chrono::milliseconds kLook{300};
-constexpr std::chrono::seconds kPatience{5};
-
-google::protobuf::Timestamp Now() {
-  const auto now = std::chrono::system_clock::now().time_since_epoch();
-  return TimeUtil::MillisecondsToTimestamp(
-      std::chrono::duration_cast<std::chrono::milliseconds>(now).count());
-}
 
 bool HasEnded(const v1::Batch& batch) { return batch.state() >= v1::Batch::succeeded; }
 
@@ -59,38 +46,6 @@ Answer<void> CheckGlobs(const google::protobuf::RepeatedPtrField<std::string>& g
   return Refuse(
       Error{ErrorCode::kInvalidArgument,
             std::string(name) + ": expected at most 100 globs of 1 to 4096 bytes without NUL"});
-}
-
-/// The options that decide samples as arguments: those that are there, and no defaults, so that a
-/// strata.toml of the repository keeps its say. Precondition: checked.
-void AddOptions(const v1::SampleOptions& options, std::vector<std::string>& arguments) {
-  const auto fields = nlohmann::json::parse(JsonOf(options));
-  for (const auto& [field, value] : fields.items()) {
-    std::string name = field;
-    std::ranges::replace(name, '_', '-');
-    if (!IsModelOption(name)) continue;
-    if (value.is_boolean()) {
-      if (value.get<bool>()) arguments.push_back("--" + name);
-      continue;
-    }
-    arguments.push_back("--" + name + '=' +
-                        (value.is_string() ? value.get<std::string>() : value.dump()));
-  }
-}
-
-std::string LastLineOf(const std::string& path) {
-  std::ifstream file(path);
-  std::string last;
-  for (std::string line; std::getline(file, line);) {
-    if (!line.empty()) last = line;
-  }
-  constexpr std::string_view kName = "strata: ";
-  return last.starts_with(kName) ? last.substr(kName.size()) : last;
-}
-
-ErrorCode CodeOf(int status) {
-  const auto row = std::ranges::find(kExitCodes, status, &ExitCode::exit_status);
-  return row == kExitCodes.end() ? ErrorCode::kInternal : row->code;
 }
 
 /// The bytes of an open file from its beginning, as they are now.
@@ -110,19 +65,6 @@ std::string MediaTypeOfOutput(const std::string& path) {
   return path.ends_with(".json") ? "application/json" : "application/octet-stream";
 }
 
-/// Where the last whole line of a file ends.
-std::uint64_t EndOfLines(int fd, std::uint64_t size) {
-  std::array<char, 4096> block;
-  while (size > 0) {
-    const std::size_t n = std::min<std::uint64_t>(size, block.size());
-    if (!ReadFileAt(fd, size - n, {block.data(), n}, "manifest")) return 0;
-    const std::string_view text(block.data(), n);
-    if (const auto at = text.rfind('\n'); at != text.npos) return size - n + at + 1;
-    size -= n;
-  }
-  return 0;
-}
-
 tl::unexpected<Problem> NoSuch(const std::string& what) {
   return Refuse(Error{ErrorCode::kNotFound, what + ": not found"});
 }
@@ -131,21 +73,41 @@ tl::unexpected<Problem> NoSuch(const std::string& what) {
 
 // --- What is kept --------------------------------------------------------------------------------
 
+google::protobuf::Timestamp BatchService::Now() {
+  const auto now = std::chrono::system_clock::now().time_since_epoch();
+  return TimeUtil::MillisecondsToTimestamp(
+      std::chrono::duration_cast<std::chrono::milliseconds>(now).count());
+}
+
+BatchService::BatchService(const BatchServiceOptions& options, Service& service, Store& store)
+    : options_(options),
+      service_(service),
+      store_(store),
+      rows_(store.database().shared()
+                ? std::make_unique<BatchRows>(store.database(), store.blobs().membership())
+                : nullptr) {}
+
 Result<std::unique_ptr<BatchService>> BatchService::Start(const BatchServiceOptions& options,
-                                                          Service& service) {
+                                                          Service& service, Store& store) {
   std::error_code failed;
   fs::create_directories(options.folder, failed);
   if (failed) return Fail(ErrorCode::kIo, options.folder + ": " + failed.message());
-  auto batches = std::unique_ptr<BatchService>(new BatchService(options, service));
-  const std::string lock = options.folder + "/lock";
-  batches->lock_ = io::Fd(open(lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
-  if (!batches->lock_) return Fail(ErrorCode::kIo, lock + ": " + io::SystemReason(errno));
-  if (flock(batches->lock_.get(), LOCK_EX | LOCK_NB) != 0) {
-    return Fail(ErrorCode::kConflict, options.folder + ": another process runs its batches");
+  auto batches = std::unique_ptr<BatchService>(new BatchService(options, service, store));
+  if (!batches->rows_) {
+    if (auto owned = batches->Own(); !owned) return Forward(owned);
   }
-  if (auto loaded = batches->Load(); !loaded) return Forward(loaded);
   batches->runner_ = std::thread([raw = batches.get()] { raw->RunQueued(); });
   return batches;
+}
+
+Result<void> BatchService::Own() {
+  const std::string lock = options_.folder + "/lock";
+  lock_ = io::Fd(open(lock.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600));
+  if (!lock_) return Fail(ErrorCode::kIo, lock + ": " + io::SystemReason(errno));
+  if (flock(lock_.get(), LOCK_EX | LOCK_NB) != 0) {
+    return Fail(ErrorCode::kConflict, options_.folder + ": another process runs its batches");
+  }
+  return Load();
 }
 
 BatchService::~BatchService() {
@@ -177,7 +139,8 @@ Result<void> BatchService::Load() {
                 : Result<void>();
 }
 
-Result<void> BatchService::Save(const v1::Batch& batch) const {
+Result<void> BatchService::Save(const v1::Batch& batch) {
+  if (rows_) return SaveShared(batch);
   auto file = io::AtomicFile::Open(PathOf(batch.id()) + "/batch.json");
   if (!file) return Forward(file);
   if (auto written = (*file)->Write(JsonOf(batch) + '\n'); !written) return written;
@@ -205,6 +168,16 @@ Answer<v1::Batch> BatchService::Create(const v1::CreateBatchRequest& request) {
   batch.set_state(v1::Batch::queued);
   *batch.mutable_request() = request;
   *batch.mutable_created() = Now();
+  if (rows_) {
+    const auto made = rows_->Insert(batch.id(), TimeUtil::TimestampToMilliseconds(batch.created()),
+                                    JsonOf(batch), options_.most_queued);
+    if (!made && made.error().code == ErrorCode::kOverBudget) {
+      return Refuse(Refusal::kUnavailable, made.error().message, 60);
+    }
+    if (!made) return Refuse(made.error());
+    changed_.notify_all();
+    return batch;
+  }
   const std::lock_guard lock(mutex_);
   const auto waits = [](const auto& each) {
     return each.second.batch.state() == v1::Batch::queued;
@@ -222,18 +195,20 @@ Answer<v1::Batch> BatchService::Create(const v1::CreateBatchRequest& request) {
   return batch;
 }
 
-Answer<v1::Batch> BatchService::Get(const std::string& id) const {
+Answer<v1::Batch> BatchService::Get(const std::string& id) {
+  if (auto refreshed = Refresh(id); !refreshed) return Pass(refreshed);
   const std::lock_guard lock(mutex_);
   const auto found = entries_.find(id);
   if (found == entries_.end()) return NoSuch("batch");
   return found->second.batch;
 }
 
-Answer<v1::ListBatchesResponse> BatchService::List(const v1::ListBatchesRequest& request) const {
+Answer<v1::ListBatchesResponse> BatchService::List(const v1::ListBatchesRequest& request) {
   const std::size_t size = request.page_size() == 0 ? 100 : request.page_size();
   if (const auto good = CheckPageSize(size); !good) return Refuse(good.error());
   const auto after = ReadPageToken('b', request.page_token());
   if (!after) return Refuse(after.error());
+  if (rows_) return ListShared(size, *after);
   // The newest first; of one instant in order of their ids.
   const auto key = [](const v1::Batch& batch) {
     return TimeUtil::ToString(batch.created()) + ' ' + batch.id();
@@ -255,6 +230,19 @@ Answer<v1::ListBatchesResponse> BatchService::List(const v1::ListBatchesRequest&
 }
 
 Answer<v1::Batch> BatchService::Cancel(const std::string& id) {
+  if (rows_) {
+    const auto row = rows_->Cancel(id, [](const std::string& text, std::int64_t now) {
+      v1::Batch cancelled;
+      static_cast<void>(FromJson(text, cancelled));
+      cancelled.set_state(v1::Batch::cancelled);
+      *cancelled.mutable_ended() = TimeUtil::MillisecondsToTimestamp(now);
+      return JsonOf(cancelled);
+    });
+    if (!row) return Refuse(row.error());
+    if (!*row) return NoSuch("batch");
+    Show(**row);
+    return Get(id);
+  }
   const std::lock_guard lock(mutex_);
   const auto found = entries_.find(id);
   if (found == entries_.end()) return NoSuch("batch");
@@ -274,10 +262,16 @@ Answer<v1::Batch> BatchService::Cancel(const std::string& id) {
 
 Answer<void> BatchService::Watch(const std::string& id,
                                  const std::function<bool(const v1::Batch&)>& tell,
-                                 const std::function<bool()>& gone) const {
+                                 const std::function<bool()>& gone) {
   std::uint64_t told = 0;
+  auto looked = SteadyClock::now() - kLook;
   while (true) {
     v1::Batch now;
+    if (rows_ && SteadyClock::now() - looked >= kLook) {
+      // While the database is away it is shown as it was.
+      static_cast<void>(Refresh(id));
+      looked = SteadyClock::now();
+    }
     {
       std::unique_lock lock(mutex_);
       const auto found = entries_.find(id);
@@ -296,201 +290,39 @@ Answer<void> BatchService::Watch(const std::string& id,
   }
 }
 
-Answer<Content> BatchService::OpenManifest(const std::string& id) const {
-  if (const auto batch = Get(id); !batch) return Pass(batch);
-  Fd file(open((PathOf(id) + "/out/manifest.jsonl").c_str(), O_RDONLY | O_CLOEXEC));
+Answer<Content> BatchService::OpenManifest(const std::string& id) {
+  const auto batch = Get(id);
+  if (!batch) return Pass(batch);
+  if (InBucket() && !RunsHere(id)) {
+    auto content = OpenObject(id, "manifest.jsonl", "application/x-ndjson");
+    if (!content && content.error().code == ErrorCode::kNotFound) {
+      return NoSuch("the manifest of a batch that has not begun, or not been saved");
+    }
+    return content;
+  }
+  Fd file(open((OutOf(id) + "/manifest.jsonl").c_str(), O_RDONLY | O_CLOEXEC));
   if (!file) return NoSuch("the manifest of a batch that has not begun");
   const auto size = RegularFileSize(file.get(), "manifest");
   if (!size) return Refuse(size.error());
-  const std::uint64_t end = EndOfLines(file.get(), *size);
-  return ContentOfFile(std::move(file), end, "application/x-ndjson");
+  Content content = ContentOfFile(std::move(file), *size, "application/x-ndjson");
+  const auto end = EndOfLines(content.read, *size);
+  if (!end) return Refuse(end.error());
+  content.size = *end;
+  return content;
 }
 
-Answer<Content> BatchService::OpenOutput(const std::string& id, const std::string& path) const {
+Answer<Content> BatchService::OpenOutput(const std::string& id, const std::string& path) {
   if (const auto batch = Get(id); !batch) return Pass(batch);
   // Hidden names, which are the batch's own, are no names of models; links are not followed.
   if (const auto good = CheckModelName(path); !good) return Refuse(good.error());
   if (path == "manifest.jsonl") return NoSuch("an output of this name");
-  const auto out = ModelRepository::Open(PathOf(id) + "/out");
+  if (InBucket()) return OpenObject(id, path, MediaTypeOfOutput(path));
+  const auto out = ModelRepository::Open(OutOf(id));
   if (!out) return NoSuch("an output of this name");
   auto file = (*out)->OpenFile(path);
   if (!file && file.error().code == ErrorCode::kNotFound) return NoSuch("an output of this name");
   if (!file) return Refuse(file.error());
   return ContentOfFile(std::move(file->fd), file->size, MediaTypeOfOutput(path));
-}
-
-// --- Working them off ----------------------------------------------------------------------------
-
-std::string BatchService::NextQueued() const {
-  const std::lock_guard lock(mutex_);
-  const Entry* next = nullptr;
-  for (const auto& [id, entry] : entries_) {
-    if (entry.batch.state() != v1::Batch::queued) continue;
-    if (!next || entry.batch.created() < next->batch.created()) next = &entry;
-  }
-  return next ? next->batch.id() : "";
-}
-
-bool BatchService::Unwanted(const std::string& id) const {
-  const std::lock_guard lock(mutex_);
-  const auto found = entries_.find(id);
-  return stopping_ || found == entries_.end() || found->second.cancel;
-}
-
-void BatchService::RunQueued() {
-  auto cleaned = SteadyClock::now() - kPatience;
-  while (true) {
-    {
-      std::unique_lock lock(mutex_);
-      if (stopping_) return;
-    }
-    if (SteadyClock::now() - cleaned > kPatience) {
-      RemoveOld();
-      cleaned = SteadyClock::now();
-    }
-    if (const std::string id = NextQueued(); !id.empty()) {
-      Run(id);
-    } else {
-      std::unique_lock lock(mutex_);
-      changed_.wait_for(lock, std::chrono::milliseconds(200));
-    }
-  }
-}
-
-void BatchService::Run(const std::string& id) {
-  const auto ticket =
-      service_.AdmitBatch(options_.memory_bytes, [this, &id] { return Unwanted(id); });
-  v1::Batch batch;
-  {
-    const std::lock_guard lock(mutex_);
-    Entry& entry = entries_[id];
-    if (!ticket || stopping_ || entry.batch.state() != v1::Batch::queued) return;
-    entry.batch.set_state(v1::Batch::running);
-    if (!entry.batch.has_started()) *entry.batch.mutable_started() = Now();
-    ++entry.revision;
-    batch = entry.batch;
-  }
-  changed_.notify_all();
-  const auto saved = Save(batch);
-  Log(LogLevel::kInfo, "batch", {{"id", id}, {"state", std::string("running")}});
-  int status = saved ? RunChild(id, batch.request()) : ExitCodeOf(saved.error().code).exit_status;
-  // What a killed service left of it may take a moment to end.
-  for (int i = 0; i < 20 && status == ExitCodeOf(ErrorCode::kConflict).exit_status; ++i) {
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, std::chrono::milliseconds(250));
-    lock.unlock();
-    if (!Unwanted(id)) status = RunChild(id, batch.request());
-  }
-  End(id, status);
-}
-
-int BatchService::RunChild(const std::string& id, const v1::CreateBatchRequest& request) {
-  BatchChildPlan plan;
-  plan.log = PathOf(id) + "/log";
-  plan.arguments = {options_.models,
-                    "--output=" + PathOf(id) + "/out",
-                    "--quiet",
-                    "--jobs=" + std::to_string(options_.jobs),
-                    "--memory=" + std::to_string(options_.memory_bytes),
-                    "--timeout=" + std::to_string(options_.timeout_seconds)};
-  for (const std::string& glob : request.include()) plan.arguments.push_back("--include=" + glob);
-  for (const std::string& glob : request.exclude()) plan.arguments.push_back("--exclude=" + glob);
-  if (request.all()) plan.arguments.emplace_back("--all");
-  AddOptions(request.options(), plan.arguments);
-  const auto child = StartBatchChild(plan);
-  if (!child) return ExitCodeOf(child.error().code).exit_status;
-  int status = 0;
-  auto asked = SteadyClock::time_point::max();
-  auto looked = SteadyClock::now();
-  while (waitpid(*child, &status, WNOHANG) == 0) {
-    const auto now = SteadyClock::now();
-    if (now - looked > kLook) {
-      ReadProgress(id);
-      looked = now;
-    }
-    if (Unwanted(id) && asked == SteadyClock::time_point::max()) {
-      kill(*child, SIGTERM);
-      asked = now;
-    } else if (asked != SteadyClock::time_point::max() && now - asked > kPatience) {
-      kill(*child, SIGKILL);
-    }
-    std::unique_lock lock(mutex_);
-    changed_.wait_for(lock, kTick);
-  }
-  ReadProgress(id);
-  return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-}
-
-void BatchService::ReadProgress(const std::string& id) {
-  std::ifstream file(PathOf(id) + "/out/.strata/progress.json");
-  const auto json = nlohmann::json::parse(file, nullptr, false);
-  if (!json.is_object()) return;
-  v1::Batch read;
-  read.set_models(json.value("models", std::uint64_t{0}));
-  read.set_sampled(json.value("sampled", std::uint64_t{0}));
-  read.set_unchanged(json.value("unchanged", std::uint64_t{0}));
-  read.set_failed_models(json.value("failed", std::uint64_t{0}));
-  read.set_samples(json.value("samples", std::uint64_t{0}));
-  read.set_seconds_left(json.value("seconds_left", 0.0));
-  const auto same = [&read](const v1::Batch& batch) {
-    return batch.models() == read.models() && batch.sampled() == read.sampled() &&
-           batch.unchanged() == read.unchanged() && batch.failed_models() == read.failed_models();
-  };
-  if (const auto batch = Get(id); !batch || same(*batch)) return;
-  Change(id, [&read](v1::Batch& batch) {
-    batch.set_models(read.models());
-    batch.set_sampled(read.sampled());
-    batch.set_unchanged(read.unchanged());
-    batch.set_failed_models(read.failed_models());
-    batch.set_samples(read.samples());
-    batch.set_seconds_left(read.seconds_left());
-  });
-}
-
-void BatchService::End(const std::string& id, int status) {
-  v1::Batch ended;
-  {
-    const std::lock_guard lock(mutex_);
-    Entry& entry = entries_[id];
-    ended = entry.batch;
-    if (stopping_ && !entry.cancel && status > 1) {
-      ended.set_state(v1::Batch::queued);  // The next process goes on.
-    } else {
-      ended.set_state(status == 0                   ? v1::Batch::succeeded
-                      : entry.cancel && status != 1 ? v1::Batch::cancelled
-                                                    : v1::Batch::failed);
-      *ended.mutable_ended() = Now();
-      ended.set_seconds_left(0);
-    }
-  }
-  if (ended.state() == v1::Batch::failed && status > 1) {
-    const Error error = {CodeOf(status), "the batch ended with exit status " +
-                                             std::to_string(status) + ": " +
-                                             LastLineOf(PathOf(id) + "/log")};
-    *ended.mutable_error() = ToMessage(ProblemOf(error), "");
-  }
-  // A state that is not kept shows after a restart: the batch then finds that nothing is left to
-  // do.
-  static_cast<void>(Save(ended));
-  Change(id, [&ended](v1::Batch& batch) { batch = ended; });
-  Log(LogLevel::kInfo, "batch", {{"id", id}, {"state", v1::Batch::State_Name(ended.state())}});
-}
-
-void BatchService::RemoveOld() {
-  const auto oldest = Now() - TimeUtil::HoursToDuration(options_.retention.count());
-  std::vector<std::string> old;
-  {
-    const std::lock_guard lock(mutex_);
-    for (const auto& [id, entry] : entries_) {
-      if (HasEnded(entry.batch) && entry.batch.ended() < oldest) old.push_back(id);
-    }
-    for (const std::string& id : old) entries_.erase(id);
-  }
-  for (const std::string& id : old) {
-    std::error_code ignored;
-    fs::remove(PathOf(id) + "/batch.json", ignored);  // First: what is left is then no batch.
-    fs::remove_all(PathOf(id), ignored);
-  }
 }
 
 }  // namespace strata::server

@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <chrono>
 #include <cstdio>
@@ -366,6 +367,20 @@ Result<void> Manifest::Rewrite() {
   reader_.places_ = std::move(places);
   reader_.end_ = offset;
   return {};
+}
+
+Result<std::uint64_t> EndOfLines(
+    const std::function<Result<void>(std::uint64_t offset, std::span<char> out)>& read,
+    std::uint64_t size) {
+  std::array<char, 4096> block;
+  while (size > 0) {
+    const std::size_t n = std::min<std::uint64_t>(size, block.size());
+    if (auto done = read(size - n, {block.data(), n}); !done) return Forward(done);
+    const std::string_view text(block.data(), n);
+    if (const auto at = text.rfind('\n'); at != text.npos) return size - n + at + 1;
+    size -= n;
+  }
+  return 0;
 }
 
 }  // namespace strata::server

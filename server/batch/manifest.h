@@ -8,6 +8,7 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <thread>
@@ -124,5 +125,11 @@ class Manifest {
   bool written_ = false, stopped_ = false;
   std::thread syncer_;
 };
+
+/// Where the last whole line of `size` bytes that `read` gives ends; 0 if there is none. Errors:
+/// those of `read`.
+Result<std::uint64_t> EndOfLines(
+    const std::function<Result<void>(std::uint64_t offset, std::span<char> out)>& read,
+    std::uint64_t size);
 
 }  // namespace strata::server

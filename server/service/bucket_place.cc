@@ -14,7 +14,7 @@ namespace {
 using SteadyClock = std::chrono::steady_clock;
 constexpr std::chrono::seconds kAskEvery{1};  // While it is away.
 constexpr std::chrono::seconds kFreshFor{2};  // An answer says that long that it is there.
-constexpr const char* kProbe = "store-id";  // Asked for by Check; whether it is there is no matter.
+constexpr const char* kProbe = "store-id";    // The mark of the store, which is there.
 
 class BucketPlace final : public ObjectPlace {
  public:
@@ -90,7 +90,7 @@ class BucketPlace final : public ObjectPlace {
       const std::lock_guard lock(mutex_);
       if (!away_ && SteadyClock::now() - heard_ < kFreshFor) return {};
     }
-    return away_ ? Gate() : AsVoid(Heard(client_.Find(NameOf(kProbe))));
+    return away_ ? Gate() : Ask();
   }
 
  private:
@@ -109,10 +109,19 @@ class BucketPlace final : public ObjectPlace {
       if (asking_ || SteadyClock::now() < ask_again_) return tl::unexpected<Error>(reason_);
       asking_ = true;
     }
-    const auto found = Heard(client_.Find(NameOf(kProbe)));
+    auto asked = Ask();
     const std::lock_guard lock(mutex_);
     asking_ = false;
-    return AsVoid(found);
+    return asked;
+  }
+
+  /// Of a bucket that is not there HEAD says the same as of a missing object.
+  Result<void> Ask() {
+    auto found = client_.Find(NameOf(kProbe));
+    if (found && !*found) {
+      return Heard(Result<void>(Fail(ErrorCode::kIo, Shown(kProbe) + ": is not there any more")));
+    }
+    return AsVoid(Heard(std::move(found)));
   }
 
   /// Notes whether the bucket answered, and says of what did not succeed that it is away.

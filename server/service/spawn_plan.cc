@@ -29,13 +29,18 @@ void SpawnPlan::Give(const io::Fd& fd, int number) {
   if (fd) posix_spawn_file_actions_adddup2(&actions_, fd.get(), number);
 }
 
-int SpawnPlan::Run(std::vector<std::string> arguments, pid_t& id) {
+int SpawnPlan::Run(std::vector<std::string> arguments, pid_t& id,
+                   std::vector<std::string> environment) {
   arguments.insert(arguments.begin(), "strata");
-  std::vector<char*> pointers;
+  std::vector<char*> pointers, variables;
   pointers.reserve(arguments.size() + 1);
+  variables.reserve(environment.size() + 1);
   for (std::string& argument : arguments) pointers.push_back(argument.data());
-  pointers.push_back(nullptr);
-  return posix_spawn(&id, "/proc/self/exe", &actions_, &attributes_, pointers.data(), environ);
+  for (std::string& variable : environment) variables.push_back(variable.data());
+  for (char** each = environ; *each != nullptr; ++each) variables.push_back(*each);
+  for (std::vector<char*>* const list : {&pointers, &variables}) list->push_back(nullptr);
+  return posix_spawn(&id, "/proc/self/exe", &actions_, &attributes_, pointers.data(),
+                     variables.data());
 }
 
 io::Fd OutOfTheWay(int fd) { return io::Fd(fcntl(fd, F_DUPFD_CLOEXEC, 16)); }

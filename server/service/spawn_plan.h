@@ -26,8 +26,10 @@ class SpawnPlan {
   /// if it is not open.
   void Give(const io::Fd& fd, int number);
   /// Starts the program's own binary. Descriptors that are not close-on-exec are inherited.
-  /// Returns 0 or an errno.
-  int Run(std::vector<std::string> arguments, pid_t& id);
+  /// `environment` has what the child's has besides this process's: "NAME=VALUE". Returns 0 or an
+  /// errno.
+  int Run(std::vector<std::string> arguments, pid_t& id,
+          std::vector<std::string> environment = {});
 
  private:
   posix_spawn_file_actions_t actions_;

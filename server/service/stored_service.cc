@@ -129,6 +129,7 @@ void StoredService::TendBucket() {
                          [this] { return stopping_.load(); })) {
     lock.unlock();
     const auto done = store_->TendBucket();
+    if (stopping_) return;
     if (!done && !away) Log(LogLevel::kWarning, "bucket_away", {{"reason", done.error().message}});
     if (done && away) Log(LogLevel::kInfo, "bucket_back", {});
     away = !done;

@@ -107,6 +107,11 @@ Result<void> BlobStore::AbortUnfinished(const std::set<std::string, std::less<>>
   return {};
 }
 
+void BlobStore::Undo(const std::string& object) {
+  const Meanwhile whoever_waits({});
+  (void)bucket_.place->Delete(object);
+}
+
 Result<BlobPin> BlobStore::AdoptInBucket(const Adoption& file, DiskShare& share) {
   BlobPin pin;  // From now on this process does not collect it.
   {
@@ -129,18 +134,21 @@ Result<BlobPin> BlobStore::AdoptInBucket(const Adoption& file, DiskShare& share)
   if (!fd) return FailSystem(file.name, "cannot be opened", errno);
   const std::string suffix = membership_.NewName(), object = ObjectOf(file.hash, suffix);
   const std::string damaged = *known ? (*known)->file : std::string();
-  if (auto put = bucket_.place->Put(object, fd.get(), 0, file.size); !put) return Forward(put);
+  if (auto put = bucket_.place->Put(object, fd.get(), 0, file.size); !put) {
+    Undo(object);  // It may have come about, and the answer not.
+    return Forward(put);
+  }
   bool certain = true;
   const auto kept = InsertShared(file, suffix, damaged, certain);
   // The row may be there nevertheless: then the object stays until this process is gone.
-  if (!kept && certain) (void)bucket_.place->Delete(object);
+  if (!kept && certain) Undo(object);
   if (!kept) return Forward(kept);
   if (*kept == suffix) {
     share = DiskShare();
     budget(file.kind).Add(file.size);
   } else {
     // Somebody else stored the same meanwhile; no row will ever name this object.
-    (void)bucket_.place->Delete(object);
+    Undo(object);
   }
   bucket_.cache->Keep(file.folder, file.name, file.hash, file.size);
   return pin;

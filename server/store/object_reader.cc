@@ -40,7 +40,7 @@ Result<void> ObjectReader::Load(std::uint64_t offset, std::size_t wanted) {
     if (read.error().code != ErrorCode::kNotFound) return read;
     return Fail(ErrorCode::kIo, read.error().message);  // The row says that it is there.
   }
-  if (offset != hashed_) return {};
+  if (object_.hash.empty() || offset != hashed_) return {};
   hasher_.Update(range_);
   hashed_ += size;
   if (hashed_ < object_.size) return {};

@@ -21,7 +21,7 @@ class ObjectReader {
  public:
   struct Object {
     std::string name;  ///< In `place`.
-    std::string hash;  ///< SHA-256.
+    std::string hash;  ///< SHA-256; empty: not known, and not checked.
     std::uint64_t size = 0;
   };
   /// `keep` is called before each range: it may see to it that the object stays. `place` outlives

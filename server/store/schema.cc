@@ -173,7 +173,19 @@ CREATE TABLE upload_pieces (
 );
 )";
 
-constexpr std::array kPostgresSteps = {kPostgres1, kPostgres2};
+// Batches, which each process ran for itself before.
+constexpr const char* kPostgres3 = R"(
+CREATE TABLE batches (
+  id TEXT COLLATE "C" PRIMARY KEY, created BIGINT NOT NULL, ended BIGINT, state BIGINT NOT NULL,
+  text TEXT NOT NULL, holder TEXT NOT NULL DEFAULT '', attempts BIGINT NOT NULL DEFAULT 0,
+  cancel BIGINT NOT NULL DEFAULT 0, revision BIGINT NOT NULL DEFAULT 1
+);
+CREATE INDEX batches_by_creation ON batches(created, id);
+CREATE INDEX batches_open ON batches(created, id) WHERE state < 3;
+CREATE INDEX batches_by_end ON batches(ended) WHERE ended IS NOT NULL;
+)";
+
+constexpr std::array kPostgresSteps = {kPostgres1, kPostgres2, kPostgres3};
 
 Result<std::int64_t> Pragma(Session& session, const std::string& name) {
   std::int64_t value = 0;

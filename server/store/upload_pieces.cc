@@ -24,10 +24,13 @@ struct Piece {
 Result<void> UploadPieces::Add(UploadInfo& info, int fd, std::uint64_t end, Timestamp expires) {
   ObjectPlace& place = *blobs_.bucket().place;
   const std::string name = kFolder + blobs_.membership().NewName();
-  if (auto put = place.Put(name, fd, info.offset, end - info.offset); !put) return put;
+  if (auto put = place.Put(name, fd, info.offset, end - info.offset); !put) {
+    blobs_.Undo(name);  // It may have come about, and the answer not.
+    return put;
+  }
   if (auto noted = Note(info, name, end, expires); !noted) {
     // Where the database was away the row may be there nevertheless: then the object has to be.
-    if (!IsDatabaseAway(noted.error())) (void)place.Delete(name);
+    if (!IsDatabaseAway(noted.error())) blobs_.Undo(name);
     return noted;
   }
   info.offset = end;

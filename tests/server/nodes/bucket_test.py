@@ -411,9 +411,6 @@ class SingleTest(BucketCase):
         self.assertEqual(done.returncode, 18, 'curl: the transfer ended early')
 
 
-del BucketCase
-
-
 def main():
     cluster.skip_without_postgres()
     nodes_test.POSTGRES = cluster.Cluster()
