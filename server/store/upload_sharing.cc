@@ -3,6 +3,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <ctime>
@@ -82,10 +83,10 @@ Result<void> UploadStore::Hold(Entry& entry) {
           "SELECT 1 FROM processes WHERE id = ?", [&](const Row&) { alive = true; }, info->holder);
       if (!looked) return Forward(looked);
     }
-    auto changed =
-        alive ? session->Query(
-                    "SELECT pg_notify(current_schema() || '_uploads', ?)", [](const Row&) {}, id)
-              : session->Run("UPDATE uploads SET holder = ? WHERE id = ?", mine, id);
+    auto changed = alive ? session->Query(
+                               "SELECT pg_notify(current_schema() || '_uploads', ?)",
+                               [](const Row&) {}, id + ' ' + info->holder)
+                         : session->Run("UPDATE uploads SET holder = ? WHERE id = ?", mine, id);
     if (!changed) return Forward(changed);
     if (auto committed = session->Commit(); !committed) return committed;
   }
@@ -175,7 +176,11 @@ void UploadStore::LetGo(Entry& entry) {
   unreleased_.insert(entry.info.id);  // RemoveExpired tries again.
 }
 
-void UploadStore::StopAppend(const std::string& id) {
+void UploadStore::StopAppend(const std::string& text) {
+  // Everybody hears it, who asked as well, who may have the upload by then.
+  const std::size_t space = std::min(text.find(' '), text.size());
+  const std::string id = text.substr(0, space);
+  if (space < text.size() && text.substr(space + 1) != parts_.blobs.membership().id()) return;
   const std::lock_guard lock(mutex_);
   const auto found = entries_.find(id);
   if (found != entries_.end() && found->second->busy) found->second->stop = true;

@@ -144,8 +144,8 @@ class UploadStore {
   /// Removes what has expired, finished uploads' records included. Returns how many. Errors: kIo.
   Result<std::size_t> RemoveExpired();
 
-  /// Another process wants to append to this upload: who does so here is to stop.
-  void StopAppend(const std::string& id);
+  /// Another process wants to append to an upload: "ID HOLDER", who is to stop.
+  void StopAppend(const std::string& text);
 
  private:
   friend class UploadAppend;
