@@ -14,7 +14,7 @@ import harness
 import nodes_test
 from harness import CUBE, wait_until
 
-OPTIONS = {'resolution': 60, 'format': 'xyz'}
+OPTIONS = {'resolution': 40, 'format': 'xyz'}
 
 
 class FolderTest(nodes_test.NodesCase):
@@ -74,7 +74,7 @@ class FolderTest(nodes_test.NodesCase):
     def assertOutputsOfTheCommand(self, node, id):
         with tempfile.TemporaryDirectory() as out:
             subprocess.run([harness.strata(), 'batch', self.models, '-o', out, '--quiet',
-                            '--resolution', '60', '--format', 'xyz'], check=True)
+                            '--resolution', '40', '--format', 'xyz'], check=True)
             lines = self.manifest(node, id)
             outputs = {str(path.relative_to(out)): path.read_bytes()
                        for path in pathlib.Path(out).rglob('*.xyz')}
@@ -107,7 +107,7 @@ class FolderTest(nodes_test.NodesCase):
             self.assertEqual(self.ask(node, '/v1/batches/' + 32 * '0')[0], 404)
 
     def test_any_node_cancels_any_batch(self):
-        self.put_models(400)
+        self.put_models(200)
         nodes = [self.serve() for _ in range(2)]
         running = self.create(nodes[0])
         holder = wait_until(lambda: self.holder(running), 'the batch to run')
@@ -130,7 +130,7 @@ class FolderTest(nodes_test.NodesCase):
 
     def interrupted(self, number):
         """A batch whose node gets a signal in the middle; it must end elsewhere."""
-        self.put_models(300)
+        self.put_models(120)
         nodes = [self.serve() for _ in range(2)]
         id = self.create(nodes[0])
         holder = wait_until(lambda: self.holder(id), 'the batch to run')
@@ -142,7 +142,7 @@ class FolderTest(nodes_test.NodesCase):
             holder.process.send_signal(number)
         ended = self.end_of(other, id)
         self.assertEqual(ended['state'], 'succeeded', ended)
-        self.assertEqual(int(ended.get('sampled', 0)) + int(ended.get('unchanged', 0)), 300)
+        self.assertEqual(int(ended.get('sampled', 0)) + int(ended.get('unchanged', 0)), 120)
         self.assertOutputsOfTheCommand(other, id)
         return holder, id
 
