@@ -242,6 +242,7 @@ class SharedTest(BucketCase):
 
     def test_a_paused_node_that_wakes_after_its_lease_commits_nothing(self):
         worker, id, before = self.end_while_it_commits(signal.SIGSTOP)
+        wait_until(lambda: self.objects() - self.named(), 'what it had put to come about')
         worker.process.send_signal(signal.SIGCONT)
         wait_until(lambda: worker.events('lease_lost') or worker.events('job_not_ended'),
                    'the sleeper to notice')

@@ -331,13 +331,13 @@ class Configuration(unittest.TestCase):
         self.assertEqual(shown.returncode, 0)
         source = pathlib.Path(harness.ARGUMENTS['source'])
         table = (source / 'server/serve_option_table.cc').read_text()
-        names = harness.re.findall(r'\{"([a-z-]+)", "[^"]+", k[A-Z]', table)
+        names = harness.re.findall(r'\{"([a-z0-9-]+)", "[^"]+", k[A-Z]', table)
         self.assertGreater(len(names), 25)
-        helped = harness.re.findall(r'^  --([a-z-]+) .*\n(?: {20}.*\n)*? +Default (.+)\.$',
+        helped = harness.re.findall(r'^  --([a-z0-9-]+) .*\n(?: {20}.*\n)*? +Default (.+)\.$',
                                     shown.stdout, harness.re.M)
         self.assertEqual([name for name, _ in helped], names)
         manual = (source / 'docs/http.md').read_text()
-        rows = harness.re.findall(r'^\| `([a-z-]+)` \| .+ \| (.+) \|$', manual, harness.re.M)
+        rows = harness.re.findall(r'^\| `([a-z0-9-]+)` \| .+ \| (.+) \|$', manual, harness.re.M)
         written = {name: default.strip('`') for name, default in rows}
         for name, default in helped:
             self.assertEqual((name, written.get(name)), (name, default))
