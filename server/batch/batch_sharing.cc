@@ -1,6 +1,4 @@
 // BatchService where several processes share a store.
-#include <google/protobuf/util/time_util.h>
-
 #include <charconv>
 #include <filesystem>
 #include <memory>
@@ -16,7 +14,6 @@ namespace strata::server {
 namespace {
 
 namespace fs = std::filesystem;
-using google::protobuf::util::TimeUtil;
 constexpr std::chrono::minutes kStrangersEvery{10};
 
 BatchState StateOf(const v1::Batch& batch) {
@@ -141,10 +138,7 @@ Result<void> BatchService::SaveShared(const v1::Batch& batch) {
     }
     claimed = *found->second.claimed;
   }
-  BatchRows::Update update{StateOf(batch), JsonOf(batch), std::nullopt};
-  if (update.state == BatchState::kEnded) {
-    update.ended = TimeUtil::TimestampToMilliseconds(batch.ended());
-  }
+  const BatchRows::Update update{StateOf(batch), JsonOf(batch)};
   const auto changed = rows_->Change(claimed, update);
   if (!changed) return Forward(changed);
   const std::lock_guard lock(mutex_);
@@ -161,8 +155,7 @@ Result<void> BatchService::SaveShared(const v1::Batch& batch) {
 }
 
 void BatchService::RemoveOldShared() {
-  const auto oldest = Now() - TimeUtil::HoursToDuration(options_.retention.count());
-  const auto old = rows_->EndedBefore(TimeUtil::TimestampToMilliseconds(oldest));
+  const auto old = rows_->EndedBefore(options_.retention);
   if (!old) return;
   for (const std::string& id : *old) {
     // The row last: what is cut short here is found again.

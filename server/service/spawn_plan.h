@@ -28,8 +28,7 @@ class SpawnPlan {
   /// Starts the program's own binary. Descriptors that are not close-on-exec are inherited.
   /// `environment` has what the child's has besides this process's: "NAME=VALUE". Returns 0 or an
   /// errno.
-  int Run(std::vector<std::string> arguments, pid_t& id,
-          std::vector<std::string> environment = {});
+  int Run(std::vector<std::string> arguments, pid_t& id, std::vector<std::string> environment = {});
 
  private:
   posix_spawn_file_actions_t actions_;

@@ -84,12 +84,16 @@ Result<bool> BatchRows::Change(const BatchRow& claimed, const Update& update) {
   const bool given_back = update.state == BatchState::kQueued;
   auto session = database_.WriteRows();
   if (!session) return Forward(session);
+  const auto now = session->Now();
+  if (!now) return Forward(now);
+  std::optional<std::int64_t> ended;
+  if (update.state == BatchState::kEnded) ended = ToMillis(*now);
   auto updated = session->Run(
       "UPDATE batches SET state = ?1, text = ?2, ended = ?3, attempts = attempts - ?4,"
       " holder = CASE WHEN ?4 = 1 THEN '' ELSE holder END, revision = revision + 1"
       " WHERE id = ?5 AND state = 2 AND holder = ?6 AND attempts = ?7"
       " AND EXISTS (SELECT 1 FROM processes WHERE processes.id = ?6)",
-      NumberOf(update.state), update.text, update.ended, std::int64_t{given_back}, claimed.id,
+      NumberOf(update.state), update.text, ended, std::int64_t{given_back}, claimed.id,
       claimed.holder, claimed.attempts);
   if (!updated) return Forward(updated);
   if (auto committed = session->Commit(); !committed) return Forward(committed);
@@ -126,11 +130,14 @@ Result<std::optional<BatchRow>> BatchRows::Cancel(
   return row;
 }
 
-Result<std::vector<std::string>> BatchRows::EndedBefore(std::int64_t time) {
+Result<std::vector<std::string>> BatchRows::EndedBefore(Milliseconds age) {
   std::vector<std::string> ids;
-  auto asked = database_.Read().Query(
+  Session session = database_.Read();
+  const auto now = session.Now();
+  if (!now) return Forward(now);
+  auto asked = session.Query(
       "SELECT id FROM batches WHERE ended IS NOT NULL AND ended < ?",
-      [&](const Row& row) { ids.push_back(row.Text(0)); }, time);
+      [&](const Row& row) { ids.push_back(row.Text(0)); }, ToMillis(*now - age));
   if (!asked) return Forward(asked);
   return ids;
 }

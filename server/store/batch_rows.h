@@ -51,7 +51,6 @@ class BatchRows {
   struct Update {
     BatchState state = BatchState::kRunning;
     std::string text;
-    std::optional<std::int64_t> ended;  ///< When, of kEnded.
   };
   /// Of a batch that was claimed; kQueued gives it back, and that attempt does not count. False: it
   /// is another's by now.
@@ -61,8 +60,8 @@ class BatchRows {
   Result<std::optional<BatchRow>> Cancel(
       const std::string& id,
       const std::function<std::string(const std::string& text, std::int64_t now)>& cancelled);
-  /// Those that ended before.
-  Result<std::vector<std::string>> EndedBefore(std::int64_t time);
+  /// Those that ended more than `age` ago, by the database's clock.
+  Result<std::vector<std::string>> EndedBefore(Milliseconds age);
   Result<void> Remove(const std::string& id);
 
  private:
