@@ -51,4 +51,5 @@ install(FILES
   ${PROJECT_BINARY_DIR}/strataConfig.cmake
   ${PROJECT_BINARY_DIR}/strataConfigVersion.cmake
   cmake/StrataLibraryDependencies.cmake
+  cmake/FindWebP.cmake
   DESTINATION ${strata_package_folder} COMPONENT dev)

@@ -7,7 +7,8 @@ set(CPACK_PACKAGE_CONTACT "Strata maintainers <maintainers@strata.example>" CACH
 # headers: the package of each find_package in StrataLibraryDependencies.cmake; "-" is the compiler's own.
 set(strata_library_packages
   Threads=- TBB=libtbb-dev tl-expected=libexpected-dev hwy=libhwy-dev FastFloat=libfast-float-dev
-  draco=libdraco-dev ZLIB=zlib1g-dev zstd=libzstd-dev PNG=libpng-dev LibArchive=libarchive-dev
+  draco=libdraco-dev ZLIB=zlib1g-dev zstd=libzstd-dev PNG=libpng-dev JPEG=libjpeg62-turbo-dev WebP=libwebp-dev
+  LibArchive=libarchive-dev
   EXPAT=libexpat1-dev meshoptimizer=libmeshoptimizer-dev nlohmann_json=nlohmann-json3-dev OpenSSL=libssl-dev
   OpenVDB=libopenvdb-dev,libboost-iostreams-dev)
 set(strata_dev_depends "")

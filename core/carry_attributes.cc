@@ -419,6 +419,31 @@ Result<CarryPlan> PlanCarry(std::span<const MeshAttribute> present, const Sample
   return plan;
 }
 
+Result<std::vector<std::string>> LeaveOutAbsent(MeshReader& reader, const SampleOptions& options,
+                                                CarryPlan& plan, RunContext& context) {
+  std::vector<std::string> left_out;
+  std::vector<std::size_t> kept;
+  for (const std::size_t n : plan.wanted) {
+    const auto checked = reader.CheckAttribute(n, context);
+    const MeshAttribute& attribute = reader.attributes()[n];
+    const auto names_it = [&](const std::string& name) {
+      return name != "all" && IsAskedFor(attribute, name);
+    };
+    if (checked) {
+      kept.push_back(n);
+      continue;
+    }
+    const ErrorCode code = checked.error().code;
+    const bool absent = code == ErrorCode::kNotFound || code == ErrorCode::kUnsupported;
+    if (!absent || std::ranges::any_of(options.mesh_attributes, names_it)) {
+      return Fail(code, "the attribute '" + attribute.name + "': " + checked.error().message);
+    }
+    left_out.push_back(attribute.name + ": " + checked.error().message);
+  }
+  plan.wanted = std::move(kept);
+  return left_out;
+}
+
 AttributeSet GatheredFor(const CarryPlan& plan, const SampleOptions& options) {
   AttributeSet gathered = options.attributes;
   if (!plan.empty()) gathered |= kTriangle | kBarycentric;

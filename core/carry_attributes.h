@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "core/mesh_attributes.h"
@@ -26,6 +27,13 @@ struct CarryPlan {
 /// attribute of that name and for all of that meaning ("color", "uv", "material", …); "all" for
 /// everything there is. Errors: kInvalidArgument, listing what is there, with types.
 Result<CarryPlan> PlanCarry(std::span<const MeshAttribute> present, const SampleOptions& options);
+
+/// Asks `reader` whether what a plan's attributes need is at hand (MeshReader::CheckAttribute).
+/// What is not, but was asked for by "all" alone, leaves the plan and is returned: "name: reason".
+/// Errors: those of attributes asked for by name or meaning, and all but kNotFound and
+/// kUnsupported.
+Result<std::vector<std::string>> LeaveOutAbsent(MeshReader& reader, const SampleOptions& options,
+                                                CarryPlan& plan, RunContext& context);
 
 /// The fixed attributes that must be gathered for a plan, those of the options included.
 AttributeSet GatheredFor(const CarryPlan& plan, const SampleOptions& options);

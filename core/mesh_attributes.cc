@@ -118,8 +118,8 @@ const char* NameOf(AttributeDomain domain) {
 }
 
 const char* NameOf(Semantic semantic) {
-  constexpr const char* kNames[] = {"generic", "normal", "color", "uv",  "material",
-                                    "mesh",    "object", "group", "node"};
+  constexpr const char* kNames[] = {"generic", "normal", "color", "uv",   "material",
+                                    "mesh",    "object", "group", "node", "texture"};
   return kNames[static_cast<std::size_t>(semantic)];
 }
 

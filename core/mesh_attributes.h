@@ -87,9 +87,14 @@ enum class Semantic : std::uint8_t {
   kObject,
   kGroup,
   kNode,
+  kTexture,  ///< As kColor: the colour of the material, its texture looked up.
 };
-/// "generic", "normal", "color", "uv", "material", "mesh", "object", "group", "node".
+/// "generic", "normal", "color", "uv", "material", "mesh", "object", "group", "node", "texture".
 const char* NameOf(Semantic semantic);
+/// Of three or four components that are red, green, blue and alpha.
+constexpr bool IsColor(Semantic semantic) {
+  return semantic == Semantic::kColor || semantic == Semantic::kTexture;
+}
 
 /// What a colour's numbers are proportional to. Values are carried as they are, never converted.
 enum class ColorSpace : std::uint8_t {

@@ -106,6 +106,17 @@ struct MeshContents {
   std::vector<std::pair<std::string, std::uint64_t>> passed_over;
 };
 
+/// An image that materials take their base colour from, as far as it can be seen without decoding.
+struct MeshTexture {
+  std::string place;  ///< As the file has it: a path, or "embedded".
+  std::string type;   ///< "png", "jpeg", "webp"; "" if it cannot be read.
+  std::uint64_t bytes = 0;
+  std::uint32_t width = 0, height = 0;     ///< Pixels.
+  int channels = 0, bits = 0;              ///< Of the file's pixels.
+  std::vector<std::uint32_t> materials{};  ///< That use it: numbers in MeshContents::materials.
+  std::string fault;                       ///< Why it cannot be read; "" if it can.
+};
+
 /// What a mesh file says of itself.
 struct MeshInfo {
   std::string format;       ///< "ply", "obj", "stl", "off", "gltf", "glb", "drc", "3mf", …
@@ -224,6 +235,12 @@ class MeshReader {
                                                                 RunContext&) {
     return Fail(ErrorCode::kInternal, info().format + ": this reader carries no attributes");
   }
+  /// Whether what an attribute needs from outside the mesh's own data, such as images, is there and
+  /// fits the account; looks at no more than the heads of files. Errors: kNotFound, kUnsupported
+  /// (not here, or not in a form that is read); kCorruptInput, kOverBudget, kIo.
+  virtual Result<void> CheckAttribute(std::size_t, RunContext&) { return {}; }
+  /// The images that materials name. Opens them; what is wrong with one is part of the answer.
+  virtual std::vector<MeshTexture> InspectTextures(RunContext&) { return {}; }
 
   /// Bytes consumed of the input as stored (compressed size for .gz), and its size if known: for
   /// progress. With a share selected, bytes passed over count as consumed.

@@ -501,13 +501,17 @@ Result<SampledMesh> GatherRegion(ScannedMesh scanned, std::span<const Partial> p
 
 Result<SampledMesh> SampleMeshStreamed(MeshReader& reader, const SampleOptions& options,
                                        RunContext& context) {
-  const auto plan = PlanCarry(reader.attributes(), options);
+  auto plan = PlanCarry(reader.attributes(), options);
   if (!plan) return Forward(plan);
+  auto left_out = LeaveOutAbsent(reader, options, *plan, context);
+  if (!left_out) return Forward(left_out);
   SampleOptions of_scan = options;
   of_scan.attributes = GatheredFor(*plan, options);
   auto sampled = options.method == Method::kUniform ? SampleUniform(reader, of_scan, context)
                                                     : SampleStratified(reader, of_scan, context);
-  if (!sampled || plan->empty()) return sampled;
+  if (!sampled) return sampled;
+  sampled->stats.left_out = std::move(*left_out);
+  if (plan->empty()) return sampled;
   const Stopwatch watch;
   auto carried = InArena(
       options.threads, [&] { return CarryAttributes(reader, *plan, options, *sampled, context); });

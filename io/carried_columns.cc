@@ -16,7 +16,7 @@ std::string Line(const Json& json) {
 std::vector<std::string> Suffixes(const MeshAttribute& column) {
   std::vector<std::string> names;
   const auto n = static_cast<std::size_t>(column.components);
-  if (column.semantic == Semantic::kColor && n <= 4) names = {"red", "green", "blue", "alpha"};
+  if (IsColor(column.semantic) && n <= 4) names = {"red", "green", "blue", "alpha"};
   if (column.semantic == Semantic::kUv && n == 2) names = {"s", "t"};
   if (column.semantic == Semantic::kNormal && n == 3) names = {"x", "y", "z"};
   for (std::size_t k = names.size(); k < n; ++k) names.push_back(std::to_string(k));
@@ -39,11 +39,11 @@ Json ToJson(const MeshAttribute& column) {
 std::vector<std::vector<std::string>> ComponentNames(std::span<const MeshAttribute> columns) {
   std::vector<std::vector<std::string>> names;
   std::set<std::string> taken;
-  std::set<Semantic> seen;
+  bool color_seen = false, uv_seen = false;
   for (const MeshAttribute& column : columns) {
     std::vector<std::string> suffixes = Suffixes(column);
-    const bool plain = column.semantic == Semantic::kColor || column.semantic == Semantic::kUv;
-    const bool bare = plain && seen.insert(column.semantic).second;
+    const bool bare = (IsColor(column.semantic) && !std::exchange(color_seen, true)) ||
+                      (column.semantic == Semantic::kUv && !std::exchange(uv_seen, true));
     std::vector<std::string>& of_column = names.emplace_back();
     for (const std::string& suffix : suffixes) {
       std::string name = bare ? suffix : column.name;

@@ -192,14 +192,16 @@ class CloudBuilder {
   // The first colour and the first UV are what viewers take for such.
   GeometryAttribute::Type TypeOf(std::size_t k) const {
     const auto& columns = header_.carried;
-    const auto first_of = [&](Semantic semantic) {
-      const auto is = [&](const MeshAttribute& c) { return c.semantic == semantic; };
-      return columns[k].semantic == semantic &&
-             std::find_if(columns.begin(), columns.end(), is) ==
-                 columns.begin() + static_cast<std::ptrdiff_t>(k);
+    const auto is_first = [&](const auto& is) {
+      return is(columns[k]) && std::find_if(columns.begin(), columns.end(), is) ==
+                                   columns.begin() + static_cast<std::ptrdiff_t>(k);
     };
-    if (first_of(Semantic::kColor)) return GeometryAttribute::COLOR;
-    if (first_of(Semantic::kUv)) return GeometryAttribute::TEX_COORD;
+    if (is_first([](const MeshAttribute& c) { return IsColor(c.semantic); })) {
+      return GeometryAttribute::COLOR;
+    }
+    if (is_first([](const MeshAttribute& c) { return c.semantic == Semantic::kUv; })) {
+      return GeometryAttribute::TEX_COORD;
+    }
     return GeometryAttribute::GENERIC;
   }
 

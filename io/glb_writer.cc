@@ -11,12 +11,12 @@
 #include <utility>
 #include <vector>
 
-#include "core/numeric.h"
 #include "core/version.h"
 #include "io/carried_columns.h"
 #include "io/checked_writer.h"
 #include "io/format_writers.h"
 #include "io/spool.h"
+#include "io/srgb.h"
 
 namespace strata::io {
 namespace {
@@ -80,12 +80,6 @@ double NumberAt(ScalarType type, const char* value) {
     default:
       return load(float());
   }
-}
-
-// From what is encoded for display to light. The C library's pow differs between processors.
-double LinearOfSrgb(double c) {
-  if (c <= 0.04045) return c / 12.92;
-  return Exp(2.4 * Log((c + 0.055) / 1.055));
 }
 
 class GlbWriter final : public FileWriter {
@@ -191,8 +185,8 @@ class GlbWriter final : public FileWriter {
   }
 
   static bool IsColor(const MeshAttribute& column) {
-    return column.semantic == Semantic::kColor && column.components >= 3 &&
-           column.components <= 4 && column.type != ScalarType::kInt8;
+    return strata::IsColor(column.semantic) && column.components >= 3 && column.components <= 4 &&
+           column.type != ScalarType::kInt8;
   }
   static bool IsUv(const MeshAttribute& column) {
     return column.semantic == Semantic::kUv && column.components == 2 && !IsInteger(column.type);

@@ -168,6 +168,7 @@ class GltfPass : public AttributePass {
       : input_(std::move(input)), columns_(std::move(columns)), context_(context) {
     for (const GltfColumn& column : columns_) {
       if (!column.key.empty()) keys_.insert(column.key);
+      if (column.from == GltfColumn::From::kTexture) LookUpTextures(column.attribute);
     }
   }
 
@@ -190,10 +191,21 @@ class GltfPass : public AttributePass {
         if (auto ok = Put(k, place, at, points[i].weight, to); !ok) return ok;
       }
     }
-    return {};
+    return colors_ ? colors_->Flush() : Result<void>();
   }
 
  private:
+  void LookUpTextures(const MeshAttribute& attribute) {
+    colors_.emplace(input_.images, input_.materials, attribute.components, context_);
+    for (const std::uint32_t material : MaterialsOf(input_.document, input_.draws)) {
+      const BaseColor& color = input_.materials[material];
+      if (color.image) keys_.insert(UvKey(color));
+    }
+  }
+  static std::string UvKey(const BaseColor& color) {
+    return "TEXCOORD_" + std::to_string(color.uv_set);
+  }
+
   tl::unexpected<Error> Absent() const {
     return Fail(ErrorCode::kCorruptInput, input_.buffers.name() +
                                               ": a triangle is not there any more; did the file "
@@ -214,10 +226,13 @@ class GltfPass : public AttributePass {
     draw_ = draw;
     values_.resize(columns_.size());
     for (std::size_t k = 0; k < columns_.size(); ++k) {
-      if (columns_[k].from != GltfColumn::From::kVertex) continue;
-      if (auto ok = values_[k].Open(input_, Primitive(), columns_[k].key, *geometry_); !ok) {
-        return ok;
+      std::string key = columns_[k].key;
+      if (columns_[k].from == GltfColumn::From::kTexture && Primitive().material) {
+        const BaseColor& color = input_.materials[*Primitive().material];
+        if (color.image) key = UvKey(color);
       }
+      if (key.empty()) continue;
+      if (auto ok = values_[k].Open(input_, Primitive(), key, *geometry_); !ok) return ok;
     }
     return {};
   }
@@ -243,6 +258,7 @@ class GltfPass : public AttributePass {
   Result<void> Put(std::size_t k, const GltfPlace& place, const std::array<std::int64_t, 3>& at,
                    const std::array<double, 3>& weight, char* to) {
     const GltfColumn& column = columns_[k];
+    if (column.from == GltfColumn::From::kTexture) return PutTexture(values_[k], at, weight, to);
     if (column.from != GltfColumn::From::kVertex) {
       const std::uint32_t id = IdOf(column.from, place);
       std::memcpy(to, &id, sizeof(id));
@@ -279,6 +295,23 @@ class GltfPass : public AttributePass {
     return {};
   }
 
+  // What there is of texture coordinates; without any they are NaN.
+  Result<void> PutTexture(Values& values, const std::array<std::int64_t, 3>& at,
+                          const std::array<double, 3>& weight, char* to) {
+    std::array<std::array<double, 2>, 3> corner;
+    const std::size_t n = values.components();
+    for (std::size_t v = 0; v < 3; ++v) {
+      corner[v].fill(std::numeric_limits<double>::quiet_NaN());
+      if (n < 2) continue;
+      std::array<double, 16> found;
+      const auto vertex = static_cast<std::uint64_t>(at[v]);
+      if (auto ok = values.Get(vertex, std::span(found).first(n)); !ok) return ok;
+      corner[v] = {found[0], found[1]};
+    }
+    const auto [u, v] = CarryUv(corner, weight);
+    return colors_->Add(Primitive().material, u, v, to);
+  }
+
   static double Fallback(const MeshAttribute& attribute) {
     if (attribute.semantic == Semantic::kColor) return 1;
     return IsInteger(attribute.type) ? 0 : std::numeric_limits<double>::quiet_NaN();
@@ -307,11 +340,23 @@ class GltfPass : public AttributePass {
   std::unique_ptr<GltfGeometry> geometry_;
   std::size_t draw_ = 0;
   std::vector<Values> values_;
+  std::optional<BaseColorLookup> colors_;  // If the texture is wanted.
 };
 
 }  // namespace
 
-std::vector<GltfColumn> ListGltfColumns(const GltfDocument& document, const GltfScene& scene,
+std::vector<std::uint32_t> MaterialsOf(const GltfDocument& document,
+                                       const std::vector<GltfDraw>& draws) {
+  std::set<std::uint32_t> used;
+  for (const GltfDraw& draw : draws) {
+    const auto& material = document.meshes[draw.mesh].primitives[draw.primitive].material;
+    if (material) used.insert(*material);
+  }
+  return {used.begin(), used.end()};
+}
+
+std::vector<GltfColumn> ListGltfColumns(const GltfDocument& document,
+                                        const std::vector<BaseColor>& materials,
                                         const std::vector<GltfDraw>& draws) {
   using From = GltfColumn::From;
   std::map<std::string, MeshAttribute> found;
@@ -350,6 +395,13 @@ std::vector<GltfColumn> ListGltfColumns(const GltfDocument& document, const Gltf
   if (instanced) {
     columns.push_back(Constant("instance", Semantic::kGeneric, From::kInstance, instance, {}));
   }
+  bool textured = false, opaque = true;
+  for (const std::uint32_t material : MaterialsOf(document, draws)) {
+    const BaseColor& color = materials[material];
+    textured = textured || color.image || color.fault;
+    opaque = opaque && color.opaque;
+  }
+  if (textured) columns.push_back({TextureAttribute(opaque), From::kTexture, ""});
   std::vector<MeshAttribute> attributes;
   for (const GltfColumn& column : columns) attributes.push_back(column.attribute);
   FixNames(attributes);

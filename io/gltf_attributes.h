@@ -11,6 +11,7 @@
 #include "core/result.h"
 #include "core/run_context.h"
 #include "io/affine.h"
+#include "io/base_color.h"
 #include "io/gltf_buffers.h"
 #include "io/gltf_document.h"
 #include "io/gltf_scene.h"
@@ -20,17 +21,22 @@ namespace strata::io {
 
 /// An attribute and where it comes from.
 struct GltfColumn {
-  enum class From : std::uint8_t { kVertex, kMaterial, kMesh, kNode, kInstance };
+  enum class From : std::uint8_t { kVertex, kMaterial, kMesh, kNode, kInstance, kTexture };
   MeshAttribute attribute;
   From from = From::kVertex;
   std::string key;  ///< Of kVertex: "NORMAL", "_LABEL".
 };
 
 /// All there is in the primitives of `draws`: normals, colours, texture coordinates, the file's own
-/// ("_…"), and the numbers of material, mesh, node and instance. Tangents, joints and weights are
-/// left out.
-std::vector<GltfColumn> ListGltfColumns(const GltfDocument& document, const GltfScene& scene,
+/// ("_…"), the numbers of material, mesh, node and instance, and `texture` where a material of
+/// theirs names one (or tries to). Tangents, joints and weights are left out.
+std::vector<GltfColumn> ListGltfColumns(const GltfDocument& document,
+                                        const std::vector<BaseColor>& materials,
                                         const std::vector<GltfDraw>& draws);
+
+/// The numbers of the materials of `draws`, ascending.
+std::vector<std::uint32_t> MaterialsOf(const GltfDocument& document,
+                                       const std::vector<GltfDraw>& draws);
 
 /// A triangle's draw, its number in the primitive, and its placing among the scene's instances.
 struct GltfPlace {
@@ -45,6 +51,8 @@ struct GltfPassInput {
   const GltfDocument& document;
   const GltfScene& scene;
   const std::vector<GltfDraw>& draws;
+  const std::vector<BaseColor>& materials;
+  TextureImages& images;
   const OpenOptions& options;
   std::function<GltfPlace(std::uint64_t)> locate;
 };

@@ -228,6 +228,22 @@ Result<std::shared_ptr<GltfBytes>> GltfBuffers::OpenUri(const std::string& uri,
   return std::make_shared<Base64Bytes>(digits);
 }
 
+Result<std::shared_ptr<GltfBytes>> GltfBuffers::Image(std::uint32_t index) {
+  const std::string who = name() + ": /images/" + std::to_string(index);
+  const nlohmann::json& image = container_.json.root["images"][index];
+  const auto uri = image.find("uri"), view = image.find("bufferView");
+  if (uri != image.end() && uri->is_string()) {
+    return OpenUri(uri->get_ref<const std::string&>(), who + "/uri");
+  }
+  if (view == image.end() || !view->is_number_unsigned()) {
+    return Fail(ErrorCode::kCorruptInput, who + ": expected a uri or a bufferView");
+  }
+  const auto number = view->get<std::uint64_t>();
+  if (number < document_.views.size()) return View(static_cast<std::uint32_t>(number));
+  return Fail(ErrorCode::kCorruptInput, who + "/bufferView: found index " + std::to_string(number) +
+                                            " of " + std::to_string(document_.views.size()));
+}
+
 Result<std::shared_ptr<GltfBytes>> GltfBuffers::Decode(std::uint32_t index) {
   const GltfMeshopt& meshopt = *document_.views[index].meshopt;
   const std::string who = "/bufferViews/" + std::to_string(index) + "/EXT_meshopt_compression";

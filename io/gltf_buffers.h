@@ -40,6 +40,8 @@ class GltfBuffers {
   /// The bytes of a view, of which all were seen to exist. Errors: kCorruptInput, kUnsupported,
   /// kNotFound, kIo, kOverBudget.
   Result<std::shared_ptr<GltfBytes>> View(std::uint32_t view);
+  /// The bytes of an image of the document, which must exist. Errors: the same.
+  Result<std::shared_ptr<GltfBytes>> Image(std::uint32_t image);
   /// Gives back decoded views that nobody else holds.
   void Trim();
   /// Bytes in the file itself: what claims without bytes of their own are held against.

@@ -13,6 +13,7 @@
 #include "io/gltf_container.h"
 #include "io/gltf_document.h"
 #include "io/gltf_geometry.h"
+#include "io/gltf_materials.h"
 #include "io/gltf_scene.h"
 #include "io/placed_reader.h"
 #include "io/within_memory.h"
@@ -28,7 +29,8 @@ class GltfReader : public PlacedReader {
       : PlacedReader(std::move(source)),
         container_(std::move(container)),
         options_(options),
-        buffers_(container_, document_, options_) {
+        buffers_(container_, document_, options_),
+        images_(buffers_, container_.json.root) {
     info_.format = container_.binary ? "glb" : "gltf";
     info_.encoding = "binary_little_endian";
     info_.compression = this->source().compression();
@@ -46,7 +48,8 @@ class GltfReader : public PlacedReader {
     info_.contents.meshes = document_.meshes.size();
     info_.contents.instances = scene_.instances.size();
     for (const auto& [what, n] : passed_over_) info_.contents.passed_over.emplace_back(what, n);
-    columns_ = ListGltfColumns(document_, scene_, draws_);
+    materials_ = ReadGltfMaterials(container_.json.root, this->source().name());
+    columns_ = ListGltfColumns(document_, materials_, draws_);
     for (const GltfColumn& column : columns_) attributes_.push_back(column.attribute);
     return Rewind();
   }
@@ -61,8 +64,28 @@ class GltfReader : public PlacedReader {
       const Location at = Locate(triangle);
       return {at.placement, at.triangle, at.transform};
     };
-    return PassOverGltf({buffers_, document_, scene_, draws_, options_, locate}, std::move(wanted),
-                        context);
+    return PassOverGltf(
+        {buffers_, document_, scene_, draws_, materials_, images_, options_, locate},
+        std::move(wanted), context);
+  }
+  Result<void> CheckAttribute(std::size_t number, RunContext& context) override {
+    if (columns_[number].from != GltfColumn::From::kTexture) return {};
+    std::vector<BaseColor> used;
+    for (const std::uint32_t k : MaterialsOf(document_, draws_)) used.push_back(materials_[k]);
+    return CheckTextures(images_, used, context.memory());
+  }
+  std::vector<MeshTexture> InspectTextures(RunContext& context) override {
+    std::vector<MeshTexture> textures;
+    for (const std::string& place : info_.contents.textures) {
+      MeshTexture& texture = textures.emplace_back();
+      const auto number = static_cast<std::uint32_t>(textures.size() - 1);
+      texture.place = place;
+      Inspect(images_, number, &context.memory(), texture);
+      for (std::uint32_t k = 0; k < materials_.size(); ++k) {
+        if (materials_[k].image == number) texture.materials.push_back(k);
+      }
+    }
+    return textures;
   }
 
  protected:
@@ -112,6 +135,8 @@ class GltfReader : public PlacedReader {
   const OpenOptions options_;
   GltfDocument document_;
   GltfBuffers buffers_;
+  GltfImages images_;
+  std::vector<BaseColor> materials_;
   GltfScene scene_;
   std::map<std::string, std::uint64_t> passed_over_;
   std::vector<GltfDraw> draws_;

@@ -48,7 +48,9 @@ class IndexedPass final : public AttributePass {
         rows_(mesh_.tables.size()),
         uses_(mesh_.tables.size()) {
     for (const AttributeSource& source : sources_) {
-      if (source.place == AttributeSource::Place::kTable) uses_[source.table] = true;
+      const bool table = source.place == AttributeSource::Place::kTable ||
+                         source.place == AttributeSource::Place::kColor;
+      if (table) uses_[source.table] = true;
       wants_corners_ = wants_corners_ || source.place != AttributeSource::Place::kFace;
     }
   }
@@ -64,11 +66,12 @@ class IndexedPass final : public AttributePass {
       const auto corners = CornersOf(i, points[i].triangle);
       if (!corners) return Forward(corners);
       for (std::size_t k = 0; k < attributes_.size(); ++k) {
-        Put(k, faces_[face_of_[i]], *corners, points[i].weight,
-            out[k] + i * attributes_[k].bytes());
+        char* const to = out[k] + i * attributes_[k].bytes();
+        auto put = Put(k, faces_[face_of_[i]], *corners, points[i].weight, to);
+        if (!put) return put;
       }
     }
-    return {};
+    return mesh_.colors == nullptr ? Result<void>() : mesh_.colors->Flush();
   }
 
  private:
@@ -182,32 +185,52 @@ class IndexedPass final : public AttributePass {
     return Corners{piece[0], piece[1], piece[2]};
   }
 
-  void Put(std::size_t k, const KeptFace& face, const Corners& corners,
-           const std::array<double, 3>& weight, char* out) {
+  // What there is of texture coordinates; without any they are NaN.
+  Result<void> PutColor(const AttributeSource& source, const KeptFace& face, const Corners& corners,
+                        const std::array<double, 3>& weight, char* out) {
+    std::array<std::array<double, 2>, 3> corner;
+    for (std::size_t v = 0; v < 3; ++v) {
+      corner[v].fill(std::numeric_limits<double>::quiet_NaN());
+      const char* const row = RowOf(source.table, face, corners[v]);
+      if (row != nullptr) corner[v] = {source.field.Number(row, 0), source.field.Number(row, 1)};
+    }
+    const auto [u, v] = CarryUv(corner, weight);
+    const double material = mesh_.material.Number(values_.data() + face.values, 0);
+    return mesh_.colors->Add(static_cast<std::uint32_t>(material), u, v, out);
+  }
+
+  Result<void> Put(std::size_t k, const KeptFace& face, const Corners& corners,
+                   const std::array<double, 3>& weight, char* out) {
     const MeshAttribute& attribute = attributes_[k];
     const AttributeSource& source = sources_[k];
+    if (source.place == AttributeSource::Place::kColor) {
+      return PutColor(source, face, corners, weight, out);
+    }
     std::array<const char*, 3> value{};
     for (std::size_t v = 0; v < 3; ++v) {
-      const char* row = nullptr;
-      switch (source.place) {
-        case AttributeSource::Place::kTable:
-          row = RowOf(source.table, face, corners[v]);
-          break;
-        case AttributeSource::Place::kFace:
-          row = face.has_values ? values_.data() + face.values : nullptr;
-          break;
-        case AttributeSource::Place::kWedge:
-          row = face.has_wedges ? wedges_.data() + face.wedges + corners[v] * mesh_.wedge_bytes
-                                : nullptr;
-          break;
-      }
-      if (row == nullptr) return PutAbsent(attribute, out);
+      const char* const row = RowFor(source, face, corners[v]);
+      if (row == nullptr) return PutAbsent(attribute, out), Result<void>();
       char* const copy = scratch_.data() + v * attribute.bytes();
       source.field.Copy(row, copy);
       value[v] = copy;
       if (attribute.carry == Carry::kConstant) break;
     }
     CarryValue(attribute, value, weight, out);
+    return {};
+  }
+
+  // Null if there is none.
+  const char* RowFor(const AttributeSource& source, const KeptFace& face,
+                     std::size_t corner) const {
+    switch (source.place) {
+      case AttributeSource::Place::kFace:
+        return face.has_values ? values_.data() + face.values : nullptr;
+      case AttributeSource::Place::kWedge:
+        return face.has_wedges ? wedges_.data() + face.wedges + corner * mesh_.wedge_bytes
+                               : nullptr;
+      default:
+        return RowOf(source.table, face, corner);
+    }
   }
 
   IndexedMesh mesh_;

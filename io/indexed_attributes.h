@@ -12,6 +12,7 @@
 #include "core/mesh_attributes.h"
 #include "core/result.h"
 #include "core/run_context.h"
+#include "io/base_color.h"
 #include "io/row_table.h"
 
 namespace strata::io {
@@ -49,7 +50,8 @@ class FaceWalker {
 
 /// From where a value comes.
 struct AttributeSource {
-  enum class Place : std::uint8_t { kTable, kFace, kWedge };
+  /// kColor: IndexedMesh::colors gives it, at texture coordinates from the table.
+  enum class Place : std::uint8_t { kTable, kFace, kWedge, kColor };
   Place place = Place::kTable;
   std::size_t table = 0;
   RowField field;
@@ -62,6 +64,10 @@ struct IndexedMesh {
   /// Where x, y and z stand in the rows of table 0, which polygons of more than three corners need.
   std::array<RowField, 3> position;
   std::size_t wedge_bytes = 0;
+  /// For attributes that are looked up: the number of its material in a face's own row, and where
+  /// colours come from.
+  RowField material{};
+  std::unique_ptr<BaseColorLookup> colors{};
 };
 
 /// A pass over such a mesh. `attributes` and `sources` go together. A value that a corner or face

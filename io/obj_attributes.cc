@@ -246,8 +246,12 @@ namespace {
 
 class ObjPassOpener {
  public:
-  ObjPassOpener(ByteSource& source, std::size_t max_line_bytes, RunContext& context)
-      : source_(source), max_line_bytes_(max_line_bytes), context_(context) {}
+  ObjPassOpener(ByteSource& source, std::size_t max_line_bytes, const ObjColors& obj_colors,
+                RunContext& context)
+      : source_(source),
+        max_line_bytes_(max_line_bytes),
+        obj_colors_(obj_colors),
+        context_(context) {}
 
   Result<std::unique_ptr<AttributePass>> Open(const ObjContents& contents,
                                               std::span<const MeshAttribute> wanted) {
@@ -277,6 +281,7 @@ class ObjPassOpener {
  private:
   AttributeSource SourceOf(const MeshAttribute& attribute) {
     AttributeSource source;
+    if (attribute.carry == Carry::kLookedUp) return LookedUp(attribute);
     source.field.type = attribute.type;
     std::size_t at = 0;
     if (attribute.carry == Carry::kConstant) {
@@ -295,6 +300,15 @@ class ObjPassOpener {
       source.field.offset.push_back(at + static_cast<std::size_t>(k) * SizeOf(attribute.type));
     }
     return source;
+  }
+
+  AttributeSource LookedUp(const MeshAttribute& attribute) {
+    constexpr std::size_t kMaterials = 2;  // Among a face's ids.
+    mesh_.material = {ScalarType::kUint32, {kMaterials * sizeof(std::uint32_t)}, false};
+    mesh_.colors = std::make_unique<BaseColorLookup>(*obj_colors_.images, obj_colors_.materials,
+                                                     attribute.components, context_);
+    used_[1] = true;
+    return {AttributeSource::Place::kColor, 1, {ScalarType::kFloat32, {0, sizeof(float)}, false}};
   }
 
   Result<void> LoadTables() {
@@ -343,6 +357,7 @@ class ObjPassOpener {
 
   ByteSource& source_;
   const std::size_t max_line_bytes_;
+  const ObjColors& obj_colors_;
   RunContext& context_;
   IndexedMesh mesh_;
   std::vector<AttributeSource> sources_;
@@ -352,12 +367,10 @@ class ObjPassOpener {
 
 }  // namespace
 
-Result<std::unique_ptr<AttributePass>> OpenObjAttributes(ByteSource& source,
-                                                         std::size_t max_line_bytes,
-                                                         const ObjContents& contents,
-                                                         std::span<const MeshAttribute> wanted,
-                                                         RunContext& context) {
-  return ObjPassOpener(source, max_line_bytes, context).Open(contents, wanted);
+Result<std::unique_ptr<AttributePass>> OpenObjAttributes(
+    ByteSource& source, std::size_t max_line_bytes, const ObjContents& contents,
+    const ObjColors& colors, std::span<const MeshAttribute> wanted, RunContext& context) {
+  return ObjPassOpener(source, max_line_bytes, colors, context).Open(contents, wanted);
 }
 
 }  // namespace strata::io

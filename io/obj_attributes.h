@@ -14,6 +14,7 @@
 #include "core/result.h"
 #include "core/run_context.h"
 #include "io/byte_source.h"
+#include "io/obj_materials.h"
 
 namespace strata::io {
 
@@ -65,6 +66,10 @@ class ObjContents {
   /// has the name "default".
   std::vector<MeshAttribute> Attributes() const;
   const ObjNames& names(std::size_t k) const { return names_[k]; }
+  /// The materials' names; empty if there are too many for a table.
+  std::vector<std::string> MaterialNames() const {
+    return too_many_[2] ? std::vector<std::string>() : names_[2].list();
+  }
 
  private:
   bool has_uv_ = false, has_normal_ = false, has_color_ = false, seen_vertex_ = false;
@@ -72,13 +77,12 @@ class ObjContents {
   bool too_many_[ObjStatement::kNamed] = {};
 };
 
-/// A pass that fetches `wanted` of what Attributes() gave. Reads the file from its start, twice if
+/// A pass that fetches `wanted` of what Attributes() gave, and TextureAttribute, which it looks up
+/// in `colors`. Reads the file from its start, twice if
 /// something of the corners is wanted. What is referred to must outlive it, and nobody else may
 /// read from `source` meanwhile.
-Result<std::unique_ptr<AttributePass>> OpenObjAttributes(ByteSource& source,
-                                                         std::size_t max_line_bytes,
-                                                         const ObjContents& contents,
-                                                         std::span<const MeshAttribute> wanted,
-                                                         RunContext& context);
+Result<std::unique_ptr<AttributePass>> OpenObjAttributes(
+    ByteSource& source, std::size_t max_line_bytes, const ObjContents& contents,
+    const ObjColors& colors, std::span<const MeshAttribute> wanted, RunContext& context);
 
 }  // namespace strata::io

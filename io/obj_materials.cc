@@ -1,15 +1,22 @@
 #include "io/obj_materials.h"
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 #include <utility>
 
 #include "io/companion_file.h"
+#include "io/decimal.h"
+#include "io/quote.h"
+#include "io/srgb.h"
 #include "io/text_scanner.h"
 
 namespace strata::io {
 namespace {
 
 constexpr std::size_t kMostLibraries = 64, kMostMaterials = 65536;
+// So many image files are held open at once.
+constexpr std::size_t kMostOpen = 64;
 
 std::string_view Trimmed(std::string_view text) {
   while (!text.empty() && IsBlank(text.front())) text.remove_prefix(1);
@@ -25,25 +32,113 @@ std::pair<std::string_view, std::string_view> Split(std::string_view line) {
   return {line.substr(0, length), Trimmed(line.substr(length))};
 }
 
-// A map's file behind its options ("-s 1 1 1 -clamp on name.png"): what no option takes.
-std::string_view MapFile(std::string_view rest) {
+// Keywords are written in capitals or not.
+bool IsWord(std::string_view found, std::string_view lower) {
+  const auto small = [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c + 32) : c; };
+  return std::equal(found.begin(), found.end(), lower.begin(), lower.end(),
+                    [&](char a, char b) { return small(a) == b; });
+}
+
+std::optional<double> NumberOf(std::string_view word) {
+  double number = 0;
+  const char* const end = ParseDecimal(word.data(), word.data() + word.size(), number);
+  if (word.empty() || end != word.data() + word.size() || !std::isfinite(number)) return {};
+  return number;
+}
+
+// A map's file behind its options ("-s 1 1 1 -clamp on name.png"): what no option takes. Those that
+// say where the image lies are kept, others are passed over.
+void ReadMap(std::string_view rest, ObjMaterial& material) {
+  material.clamp = false;
+  material.offset = {0, 0};
+  material.scale = {1, 1};
   while (rest.starts_with('-')) {
     auto [option, values] = Split(rest);
     const bool vector = option == "-o" || option == "-s" || option == "-t";
-    const int most = vector ? 3 : option == "-mm" ? 2 : 1;
-    for (int i = 0; i < most; ++i) {
+    const std::size_t most = vector ? 3 : option == "-mm" ? 2 : 1;
+    for (std::size_t i = 0; i < most; ++i) {
       const auto [value, after] = Split(values);
-      const bool number =
-          !value.empty() && value.find_first_not_of("+-.0123456789eE") == value.npos;
+      const auto number = NumberOf(value);
       if (i > 0 && !number) break;
+      if (option == "-clamp") material.clamp = value == "on";
+      if (number && i < 2 && option == "-o") material.offset[i] = *number;
+      if (number && i < 2 && option == "-s") material.scale[i] = *number;
       values = after;
     }
     rest = values;
   }
-  return rest;
+  material.color_map = std::string(rest);
+}
+
+// One number stands for three. What is given in another way (spectral, xyz) is left out.
+void ReadDiffuse(std::string_view rest, ObjMaterial& material) {
+  std::array<double, 3> diffuse{};
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto [word, after] = Split(rest);
+    const auto number = NumberOf(word);
+    if (!number && (k == 0 || !word.empty())) return;
+    diffuse[k] = number ? std::clamp(*number, 0.0, 1.0) : diffuse[0];
+    rest = after;
+  }
+  material.diffuse = diffuse;
+}
+
+// A path in a library is relative to that.
+std::string MapPath(const ObjMaterial& material) {
+  const std::size_t slash = material.library.find_last_of("/\\");
+  const bool rooted = material.color_map.starts_with('/') || material.color_map.starts_with('\\') ||
+                      material.color_map.find(':') != std::string::npos;
+  if (slash == std::string::npos || rooted) return material.color_map;
+  return material.library.substr(0, slash + 1) + material.color_map;
+}
+
+BaseColor ColorOf(const ObjMaterial& material) {
+  BaseColor color;
+  for (std::size_t k = 0; k < 3; ++k) color.factor[k] = LinearOfSrgb(material.diffuse[k]);
+  const Wrap wrap = material.clamp ? Wrap::kClamp : Wrap::kRepeat;
+  color.sampler = {wrap, wrap, false};
+  // Images begin at the top, an OBJ's coordinates at the bottom.
+  const auto [su, sv] = material.scale;
+  const auto [ou, ov] = material.offset;
+  color.transform.m = {su, 0, ou, 0, -sv, 1 - ov};
+  return color;
 }
 
 }  // namespace
+
+std::string FileImages::NameOf(std::uint32_t image) const {
+  return who_ + ": the image " + Quoted(paths_[image]);
+}
+
+Result<ImageFile> FileImages::Read(std::uint32_t image, std::uint64_t most, MemoryAccount* memory) {
+  auto found = open_.find(image);
+  if (found == open_.end()) {
+    const auto path = RelativePathOfName(paths_[image], who_);
+    if (!path) return Forward(path);
+    auto source = OpenCompanion(companions_, *path, who_);
+    if (!source) return Forward(source);
+    if (open_.size() >= kMostOpen) open_.erase(open_.begin());
+    found = open_.emplace(image, std::move(*source)).first;
+  }
+  ByteSource& source = *found->second;
+  ImageFile file;
+  file.size = source.size().value_or(0);
+  const auto wanted = static_cast<std::size_t>(std::min(most, file.size));
+  if (memory != nullptr) {
+    auto share = memory->Take(wanted, NameOf(image) + ": its bytes");
+    if (!share) return Forward(share);
+    file.share = std::move(*share);
+  }
+  file.bytes.resize(wanted);
+  if (auto read = source.ReadAt(0, file.bytes); !read) return Forward(read);
+  return file;
+}
+
+bool ObjColors::textured() const {
+  return std::any_of(materials.begin(), materials.end(), [](const BaseColor& color) {
+    return color.image.has_value() || color.fault.has_value();
+  });
+}
 
 void ObjMaterials::AddLibrary(std::string_view rest) {
   const std::string name(Trimmed(rest));
@@ -61,6 +156,7 @@ Result<void> ObjMaterials::Load(const std::string& who, const OpenOptions& optio
     if (auto ok = LoadOne(library, who, options); !ok) {
       if (ok.error().code == ErrorCode::kIo) return ok;
       ++left_out_;
+      if (!fault_) fault_ = ok.error();
     }
   }
   return {};
@@ -77,12 +173,40 @@ Result<void> ObjMaterials::LoadOne(const std::string& library, const std::string
     const auto [keyword, rest] = Split(text.line());
     if (keyword == "newmtl") {
       if (materials_.size() == kMostMaterials) break;
-      materials_.push_back({std::string(rest), ""});
-    } else if (keyword == "map_Kd" && !materials_.empty()) {
-      materials_.back().color_map = std::string(MapFile(rest));
+      materials_.push_back({std::string(rest), library});
+    } else if (IsWord(keyword, "map_kd") && !materials_.empty()) {
+      ReadMap(rest, materials_.back());
+    } else if (IsWord(keyword, "kd") && !materials_.empty()) {
+      ReadDiffuse(rest, materials_.back());
     }
   }
   return text.failed() ? Result<void>(text.failure()) : Result<void>();
+}
+
+ObjColors ObjMaterials::ColorsOf(const std::vector<std::string>& names, const std::string& who,
+                                 const OpenOptions& options) const {
+  std::map<std::string_view, const ObjMaterial*> by_name;
+  for (const ObjMaterial& material : materials_) by_name.emplace(material.name, &material);
+  ObjColors colors;
+  std::vector<std::string> paths;
+  std::map<std::string, std::uint32_t> numbers;
+  for (std::size_t k = 0; k < names.size(); ++k) {
+    BaseColor& color = colors.materials.emplace_back();
+    const auto found = by_name.find(names[k]);
+    if (found == by_name.end()) {
+      // The first may be the name of those that have none.
+      if (k > 0) color.fault = fault_;
+      continue;
+    }
+    color = ColorOf(*found->second);
+    if (found->second->color_map.empty()) continue;
+    const auto [number, fresh] =
+        numbers.try_emplace(MapPath(*found->second), static_cast<std::uint32_t>(paths.size()));
+    if (fresh) paths.push_back(number->first);
+    color.image = number->second;
+  }
+  colors.images = std::make_unique<FileImages>(who, std::move(paths), options);
+  return colors;
 }
 
 void ObjMaterials::Describe(MeshContents& contents) const {

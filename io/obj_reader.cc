@@ -46,6 +46,8 @@ class ObjReader : public MeshReader {
     if (auto ok = materials_.Load(source_->name(), options_); !ok) return ok;
     materials_.Describe(info_.contents);
     attributes_ = contents_.Attributes();
+    colors_ = materials_.ColorsOf(contents_.MaterialNames(), source_->name(), options_);
+    if (colors_.textured()) attributes_.push_back(TextureAttribute(true));
     return Rewind();
   }
 
@@ -71,8 +73,29 @@ class ObjReader : public MeshReader {
     for (const std::size_t n : numbers) wanted.push_back(attributes_[n]);
     text_.Forget();
     return WithinMemory(source_->name() + ": the vertices' attributes do not fit into memory", [&] {
-      return OpenObjAttributes(*source_, max_line_bytes_, contents_, wanted, context);
+      return OpenObjAttributes(*source_, max_line_bytes_, contents_, colors_, wanted, context);
     });
+  }
+  Result<void> CheckAttribute(std::size_t number, RunContext& context) override {
+    if (attributes_[number].carry != Carry::kLookedUp) return {};
+    return CheckTextures(*colors_.images, colors_.materials, context.memory());
+  }
+  std::vector<MeshTexture> InspectTextures(RunContext& context) override {
+    // Of all materials, used or not: what the file says it has.
+    std::vector<std::string> names;
+    for (const ObjMaterial& material : materials_.materials()) names.push_back(material.name);
+    const ObjColors all = materials_.ColorsOf(names, source_->name(), options_);
+    std::vector<MeshTexture> textures;
+    for (const std::string& path : all.images->paths()) {
+      MeshTexture& texture = textures.emplace_back();
+      const auto number = static_cast<std::uint32_t>(textures.size() - 1);
+      texture.place = path;
+      Inspect(*all.images, number, &context.memory(), texture);
+      for (std::uint32_t k = 0; k < all.materials.size(); ++k) {
+        if (all.materials[k].image == number) texture.materials.push_back(k);
+      }
+    }
+    return textures;
   }
 
   Result<void> Rewind() override {
@@ -213,6 +236,7 @@ class ObjReader : public MeshReader {
   std::string_view rest_view_;  // The line behind the keyword, …
   const char* rest_ = nullptr;  // … and where that begins.
   ObjContents contents_;
+  ObjColors colors_;
   std::vector<MeshAttribute> attributes_;
   std::vector<std::int64_t> corners_;
 };

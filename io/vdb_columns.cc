@@ -39,7 +39,7 @@ VdbType TypeFor(ScalarType type) {
 bool IsColor(const MeshAttribute& column) {
   const bool numbers = column.type == ScalarType::kUint8 || column.type == ScalarType::kUint16 ||
                        !IsInteger(column.type);
-  return column.semantic == Semantic::kColor && numbers && column.components >= 3 &&
+  return strata::IsColor(column.semantic) && numbers && column.components >= 3 &&
          column.components <= 4;
 }
 

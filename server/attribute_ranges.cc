@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cstring>
 #include <limits>
-#include <numeric>
 #include <span>
 
 namespace strata::server {
@@ -42,10 +41,13 @@ Result<std::vector<AttributeRange>> FindRanges(MeshReader& triangles, MeshReader
     ranges.push_back({attribute, std::vector<double>(components, kInfinite),
                       std::vector<double>(components, -kInfinite), ""});
     buffers.emplace_back(3 * kBatch * attribute.bytes());
-    out.push_back(buffers.back().data());
   }
-  std::vector<std::size_t> all(ranges.size());
-  std::iota(all.begin(), all.end(), std::size_t{0});
+  // What corners have: an image's colours lie between them.
+  std::vector<std::size_t> all;
+  for (std::size_t k = 0; k < ranges.size(); ++k) {
+    if (ranges[k].attribute.carry != Carry::kLookedUp) all.push_back(k);
+  }
+  for (const std::size_t k : all) out.push_back(buffers[k].data());
   auto pass = values.ReadAttributes(all, context);
   if (!pass) return Forward(pass);
   TriangleBatch batch(kBatch);
@@ -63,7 +65,7 @@ Result<std::vector<AttributeRange>> FindRanges(MeshReader& triangles, MeshReader
       }
     }
     if (auto ok = (*pass)->Read(corners, out); !ok) return Forward(ok);
-    for (std::size_t k = 0; k < ranges.size(); ++k) Add(buffers[k], corners.size(), ranges[k]);
+    for (const std::size_t k : all) Add(buffers[k], corners.size(), ranges[k]);
   }
   for (AttributeRange& range : ranges) {
     if (range.min.empty() || range.min[0] <= range.max[0]) continue;

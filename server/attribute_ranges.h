@@ -12,8 +12,8 @@
 namespace strata::server {
 
 /// An attribute and, component by component, its least and largest number at the corners of
-/// triangles (NaN aside; 64-bit integers to 53 bits). Both empty if they were not looked for, or if
-/// there is no triangle.
+/// triangles (NaN aside; 64-bit integers to 53 bits). Both empty if they were not looked for, as
+/// those of textures never are, or if there is no triangle.
 struct AttributeRange {
   MeshAttribute attribute;
   std::vector<double> min, max;

@@ -31,6 +31,15 @@ Result<std::vector<AttributeRange>> RangesOf(const InfoCommand& command, MeshRea
   return ranges;
 }
 
+// What an attribute needs from elsewhere and is not there.
+void NoteAbsent(MeshReader& reader, std::vector<AttributeRange>& ranges, RunContext& context) {
+  for (std::size_t k = 0; k < ranges.size(); ++k) {
+    if (!ranges[k].fault.empty()) continue;
+    const auto checked = reader.CheckAttribute(k, context);
+    if (!checked) ranges[k].fault = checked.error().message;
+  }
+}
+
 }  // namespace
 
 Result<void> RunInfo(const InfoCommand& command, RunContext& context) {
@@ -42,14 +51,16 @@ Result<void> RunInfo(const InfoCommand& command, RunContext& context) {
   if (!reader) return Forward(reader);
   const auto summary = SummarizeMesh(**reader, context);
   if (!summary) return Forward(summary);
-  const auto attributes = RangesOf(command, **reader, context);
+  auto attributes = RangesOf(command, **reader, context);
   if (!attributes) return Forward(attributes);
+  NoteAbsent(**reader, *attributes, context);
+  const std::vector<MeshTexture> textures = (*reader)->InspectTextures(context);
   bar.Stop();
   auto out = io::AtomicFile::Open("-");
   if (!out) return Forward(out);
   const MeshInfo& info = (*reader)->info();
-  auto written = (*out)->Write(command.json ? InfoJson(info, *summary, *attributes)
-                                            : InfoText(info, *summary, *attributes));
+  auto written = (*out)->Write(command.json ? InfoJson(info, *summary, *attributes, textures)
+                                            : InfoText(info, *summary, *attributes, textures));
   if (!written) return written;
   if (auto finished = (*out)->Finish(); !finished) return Forward(finished);
   return {};

@@ -67,7 +67,7 @@ constexpr std::array<OptionRow, 22> kOptionRows = {{
      "What stands beside each position, with commas between: any of\n"
      "normal, triangle, barycentric, cell, area, weight; and of what\n"
      "the mesh carries (strata info lists it), by name or as color, uv,\n"
-     "material, group, object. Or all, or none. Default normal.",
+     "material, group, object, texture. Or all, or none. Default normal.",
      &RawSample::attributes},
     {"--normals", "face|vertex", kWhat,
      "face: of the triangle; vertex: interpolated from the mesh's own,\n"

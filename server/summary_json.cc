@@ -53,10 +53,11 @@ std::string BoundsText(const Bounds& bounds) {
   return bounds.empty() ? "none" : PointText(bounds.min) + "  to  " + PointText(bounds.max);
 }
 
-// A name of the file's, harmless on a terminal.
-std::string Printable(const std::string& name) {
+// A name of the file's, or a message with such names, harmless on a terminal.
+constexpr std::size_t kMostOfName = 200, kMostOfMessage = 1000;
+std::string Printable(const std::string& name, std::size_t most = kMostOfName) {
   std::string text;
-  for (const char c : name.substr(0, 200)) text += c >= ' ' && c != '\x7f' ? c : '?';
+  for (const char c : name.substr(0, most)) text += c >= ' ' && c != '\x7f' ? c : '?';
   return text.empty() ? "(unnamed)" : text;
 }
 
@@ -105,11 +106,33 @@ Json RangeToJson(const AttributeRange& each) {
 
 std::string RangeText(const AttributeRange& each) {
   std::string text = Describe(each.attribute);
-  if (!each.fault.empty()) return text + ": not readable: " + Printable(each.fault);
+  if (!each.fault.empty()) return text + ": not readable: " + Printable(each.fault, kMostOfMessage);
   for (std::size_t i = 0; i < each.min.size(); ++i) {
     text += (i == 0 ? ": " : ", ") + Short(each.min[i]) + " to " + Short(each.max[i]);
   }
   return text;
+}
+
+Json TextureToJson(const MeshTexture& texture) {
+  const auto text = [](const std::string& s) { return s.empty() ? Json() : Json(s); };
+  return {
+      {"place", texture.place}, {"type", text(texture.type)},     {"bytes", texture.bytes},
+      {"width", texture.width}, {"height", texture.height},       {"channels", texture.channels},
+      {"bits", texture.bits},   {"materials", texture.materials}, {"fault", text(texture.fault)}};
+}
+
+std::string TextureText(const MeshTexture& texture, const MeshContents& contents) {
+  std::string text = Printable(texture.place) + ": ";
+  if (!texture.fault.empty()) {
+    text += "not readable: " + Printable(texture.fault, kMostOfMessage);
+  } else {
+    text += texture.type + ", " + Grouped(texture.width) + " x " + Grouped(texture.height) + ", " +
+            std::to_string(texture.channels) + " x " + std::to_string(texture.bits) + " bits";
+  }
+  std::vector<std::string> materials;
+  for (const std::uint32_t k : texture.materials) materials.push_back(contents.materials.at(k));
+  return materials.empty() ? text + "; base colour of no material"
+                           : text + "; base colour of " + Listed(materials);
 }
 
 }  // namespace
@@ -137,6 +160,7 @@ std::string SummaryJson(const SampleCommand& command, const SampleStats& stats,
   json["samples"] = {{"before_rejection", uniform ? stats.survivors : stats.cells},
                      {"after_rejection", stats.survivors}};
   json["carried"] = ToJson(figures.carried);
+  json["left_out"] = stats.left_out;
   json["passes"] = stats.passes;
   json["resumed_at_triangle"] = stats.resumed_at;
   json["stages"] = StagesToJson(stats, figures);
@@ -172,6 +196,8 @@ std::string SummaryText(const SampleCommand& command, const SampleStats& stats,
   out << "\nwritten    " << (command.output == "-" ? "standard output" : command.output) << ", "
       << Si(static_cast<double>(figures.write_bytes)) << "B\n";
   if (command.picture) out << "picture    " << *command.picture << '\n';
+  for (const std::string& each : stats.left_out)
+    out << "left out   " << Printable(each, kMostOfMessage) << '\n';
   return out.str();
 }
 
@@ -186,7 +212,8 @@ std::string PartialText(const std::string& output, const PartialInfo& info, std:
 }
 
 std::string InfoJson(const MeshInfo& info, const MeshSummary& summary,
-                     const std::vector<AttributeRange>& attributes) {
+                     const std::vector<AttributeRange>& attributes,
+                     const std::vector<MeshTexture>& textures) {
   Json json = ToJson(info);
   json.update(ReadToJson(summary.read, summary.skipped));
   json["surface_triangles"] = summary.surface_triangles;
@@ -196,11 +223,14 @@ std::string InfoJson(const MeshInfo& info, const MeshSummary& summary,
   json["contents"] = ContentsToJson(info.contents);
   json["attributes"] = Json::array();
   for (const AttributeRange& each : attributes) json["attributes"].push_back(RangeToJson(each));
+  json["textures"] = Json::array();
+  for (const MeshTexture& texture : textures) json["textures"].push_back(TextureToJson(texture));
   return json.dump(2, ' ', false, Json::error_handler_t::replace) + '\n';
 }
 
 std::string InfoText(const MeshInfo& info, const MeshSummary& summary,
-                     const std::vector<AttributeRange>& attributes) {
+                     const std::vector<AttributeRange>& attributes,
+                     const std::vector<MeshTexture>& textures) {
   std::ostringstream out;
   out << "format     " << info.format << ", " << info.encoding;
   if (info.compression != "none") out << ", " << info.compression;
@@ -211,6 +241,9 @@ std::string InfoText(const MeshInfo& info, const MeshSummary& summary,
       << '\n'
       << ContentsText(info.contents);
   for (const AttributeRange& each : attributes) out << "attribute  " << RangeText(each) << '\n';
+  for (const MeshTexture& texture : textures) {
+    out << "texture    " << TextureText(texture, info.contents) << '\n';
+  }
   return out.str();
 }
 

@@ -36,9 +36,11 @@ std::string PartialText(const std::string& output, const PartialInfo& info, std:
 
 /// `strata info --json`, indented, with a line end.
 std::string InfoJson(const MeshInfo& info, const MeshSummary& summary,
-                     const std::vector<AttributeRange>& attributes = {});
+                     const std::vector<AttributeRange>& attributes = {},
+                     const std::vector<MeshTexture>& textures = {});
 /// `strata info`.
 std::string InfoText(const MeshInfo& info, const MeshSummary& summary,
-                     const std::vector<AttributeRange>& attributes = {});
+                     const std::vector<AttributeRange>& attributes = {},
+                     const std::vector<MeshTexture>& textures = {});
 
 }  // namespace strata::server

@@ -6,7 +6,6 @@
 #include <cstdint>
 #include <cstdlib>
 #include <memory>
-#include <numeric>
 #include <span>
 #include <string>
 #include <vector>
@@ -71,14 +70,16 @@ inline Drained Drain(MeshReader& reader, std::size_t batch_size) {
   return drained;
 }
 
-/// Fetches every attribute of points on these triangles, a few at a time. That there is something
-/// wrong with attributes is an answer too.
+/// Fetches every attribute that is at hand of points on these triangles, a few at a time. That
+/// there is something wrong with attributes is an answer too.
 inline void FetchAttributes(MeshReader& reader, std::span<const std::uint64_t> triangles) {
   constexpr std::size_t kAtOnce = 37;
-  std::vector<std::size_t> all(reader.attributes().size());
-  std::iota(all.begin(), all.end(), std::size_t{0});
+  RunContext context(std::uint64_t{64} << 20);
+  std::vector<std::size_t> all;
+  for (std::size_t k = 0; k < reader.attributes().size(); ++k) {
+    if (reader.CheckAttribute(k, context)) all.push_back(k);
+  }
   if (all.empty()) return;
-  RunContext context;
   const auto pass = reader.ReadAttributes(all, context);
   const auto is_answer = [](const Error& error) {
     return !error.message.empty() && error.code != ErrorCode::kInternal;
@@ -86,7 +87,8 @@ inline void FetchAttributes(MeshReader& reader, std::span<const std::uint64_t> t
   if (!pass) return Require(is_answer(pass.error()));
   std::vector<std::vector<char>> values;
   std::vector<char*> out;
-  for (const MeshAttribute& attribute : reader.attributes()) {
+  for (const std::size_t k : all) {
+    const MeshAttribute& attribute = reader.attributes()[k];
     Require(attribute.components >= 1 && attribute.components <= kMostComponents);
     values.emplace_back(kAtOnce * attribute.bytes());
     out.push_back(values.back().data());

@@ -7,6 +7,7 @@
 
 #include "tests/fuzz/mesh_seeds.h"
 #include "tests/support/compress.h"
+#include "tests/support/image_maker.h"
 #include "tests/support/mesh_text.h"
 
 namespace {
@@ -84,6 +85,28 @@ std::vector<std::string> PolygonSeeds() {
           doubles({0, 0, 0, 1e9, 0.1, 0, 1e9, 1e9, 1e-3, 3, 1e8, 0, -1e300, 1, 1})};
 }
 
+std::vector<std::string> ImageSeeds() {
+  using namespace strata::test;
+  const auto pixels = [](int channels, int bits) {
+    return MakePixels(
+        13, 9, channels, [](unsigned x, unsigned y, int c) { return x * 19 + y * 5 + c * 60u; },
+        bits);
+  };
+  JpegShape progressive;
+  progressive.progressive = progressive.subsampled = true;
+  return {MakePng(pixels(3, 8)),
+          MakePng(pixels(4, 16), {true, {}}),
+          MakePng(MakePixels(4, 4, 1, [](unsigned x, unsigned, int) { return x % 2; }),
+                  {false, {9, 8, 7, 255, 1, 2, 3, 4}}),
+          MakeJpeg(pixels(3, 8)),
+          MakeJpeg(pixels(3, 8), progressive),
+          MakeJpeg(pixels(1, 8)),
+          MakeJpeg(pixels(4, 8)),
+          MakeWebp(pixels(4, 8)),
+          MakeWebp(pixels(3, 8), false),
+          MakeWebp(pixels(4, 8), false)};
+}
+
 std::vector<std::string> HttpSeeds() {
   return {
       "GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\nGET /nowhere?a=%20 HTTP/1.1\r\nHost: "
@@ -128,6 +151,7 @@ int main(int argc, char** argv) {
   WriteAll(folder / "mtl", MtlSeeds());
   WriteAll(folder / "assimp", AssimpSeeds());
   WriteAll(folder / "triangulate", PolygonSeeds());
+  WriteAll(folder / "image", ImageSeeds());
   WriteAll(folder / "http", HttpSeeds());
   WriteAll(folder / "wire", WireSeeds());
   return 0;

@@ -5,6 +5,7 @@
 #include "io/assimp_stream.h"
 #include "tests/support/draco_maker.h"
 #include "tests/support/gltf_maker.h"
+#include "tests/support/image_maker.h"
 #include "tests/support/zip_maker.h"
 
 using strata::test::GltfMaker;
@@ -64,11 +65,36 @@ GltfMaker Packed() {
   return maker;
 }
 
+// A texture in a view, with a sampler and a transform; a material without; a damaged one.
+GltfMaker Textured() {
+  GltfMaker maker;
+  const int positions = maker.Floats3(kSquare), indices = maker.Indices({0, 1, 2, 0, 2, 3});
+  const int uvs = maker.Values(std::vector<float>{0, 0, 2, 0, 2, 3, 0, 3}, "VEC2", 2, 5126);
+  const std::string image = strata::test::MakePng(strata::test::MakePixels(
+      3, 2, 3, [](unsigned x, unsigned y, int c) { return x * 80 + y * 40 + c * 7u; }));
+  const int view = maker.View(std::vector<char>(image.begin(), image.end()));
+  for (int k = 0; k < 2; ++k) {
+    auto& primitive = maker.Primitive(positions, indices);
+    primitive["attributes"]["TEXCOORD_0"] = uvs;
+    primitive["material"] = k;
+  }
+  const GltfMaker::Json texture = {
+      {"index", 0},
+      {"extensions", {{"KHR_texture_transform", {{"rotation", 1}, {"scale", {2, -1}}}}}}};
+  maker.json["materials"] = {
+      {{"pbrMetallicRoughness", {{"baseColorTexture", texture}}}},
+      {{"alphaMode", "BLEND"}, {"pbrMetallicRoughness", {{"baseColorFactor", {1, 0.5, 0, 0.5}}}}}};
+  maker.json["samplers"] = {{{"wrapS", 33648}, {"magFilter", 9728}}};
+  maker.json["textures"] = {{{"source", 0}, {"sampler", 0}}};
+  maker.json["images"] = {{{"bufferView", view}, {"mimeType", "image/png"}}};
+  return maker;
+}
+
 }  // namespace
 
 std::vector<std::string> GltfSeeds() {
   std::vector<std::string> seeds;
-  for (const GltfMaker& maker : {Various(), Skinned(), Packed()}) {
+  for (const GltfMaker& maker : {Various(), Skinned(), Packed(), Textured()}) {
     seeds.push_back(maker.Text());
     seeds.push_back(maker.Glb());
   }

@@ -301,5 +301,15 @@ TEST(ComponentNames, AreUnique) {
   EXPECT_EQ(ComponentNames(columns), expected);
 }
 
+TEST(ComponentNames, OfATextureAreThoseThatViewersLookForUnlessAColourHasThem) {
+  const MeshAttribute color = MakeAttribute("color", ScalarType::kFloat32, 3, Semantic::kColor);
+  const MeshAttribute texture = MakeAttribute("texture", ScalarType::kUint8, 4, Semantic::kTexture);
+  const std::vector<std::string> plain = {"red", "green", "blue", "alpha"};
+  EXPECT_EQ(ComponentNames(std::vector{texture})[0], plain);
+  const std::vector<std::string> behind = {"texture_red", "texture_green", "texture_blue",
+                                           "texture_alpha"};
+  EXPECT_EQ(ComponentNames(std::vector{color, texture})[1], behind);
+}
+
 }  // namespace
 }  // namespace strata::io

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "io/sample_writer.h"
+#include "io/srgb.h"
 #include "tests/support/mesh_attribute.h"
 #include "tests/support/sample_columns.h"
 #include "tests/support/temp_folder.h"
@@ -81,11 +82,13 @@ Written Write(const TempFolder& folder) {
              MakeAttribute("small", ScalarType::kInt8, 3),
              MakeAttribute("many", ScalarType::kFloat32, 6),
              MakeAttribute("light", ScalarType::kFloat32, 3, Semantic::kColor),
-             MakeAttribute("material", ScalarType::kUint16, 1, Semantic::kMaterial)};
+             MakeAttribute("material", ScalarType::kUint16, 1, Semantic::kMaterial),
+             MakeAttribute("texture", ScalarType::kUint8, 3, Semantic::kTexture)};
   columns[0].color_space = ColorSpace::kSrgb;
   columns[0].normalized = true;
   columns[6].color_space = ColorSpace::kLinear;
   columns[7].names = {"oak", "ash"};
+  columns[8].color_space = ColorSpace::kSrgb;
   std::mt19937_64 random(5);
   for (const MeshAttribute& column : columns) {
     std::vector<char>& bytes = w.samples.carried.emplace_back(300 * column.bytes());
@@ -157,6 +160,8 @@ TEST(GlbWriter, TurnsColoursIntoLight) {
     float linear;
     std::memcpy(&linear, &w.samples.carried[6][12 * i], sizeof linear);
     EXPECT_NEAR(At<std::uint16_t>(glb, "COLOR_1", i) / 65535.0, linear, 1e-5);
+    const double blue = static_cast<std::uint8_t>(w.samples.carried[8][3 * i + 2]) / 255.0;
+    EXPECT_NEAR(At<std::uint16_t>(glb, "COLOR_2", i, 2) / 65535.0, LinearOfSrgb(blue), 1e-5);
   }
 }
 

@@ -86,7 +86,7 @@ TEST(ObjAttributes, ReachTheSamples) {
   EXPECT_EQ(AttributesOf(kObj, "a.obj"),
             "color (3 x float32, vertex), uv (2 x float32, corner), vertex_normal (3 x float32, "
             "corner), group (uint32, triangle), object (uint32, triangle), material (uint32, "
-            "triangle)");
+            "triangle), texture (3 x uint8, triangle)");
   for (const bool packed : {false, true}) {
     const auto result = Sample(packed ? test::Gzip(kObj) : kObj, "a.obj", {"all"});
     ASSERT_TRUE(result) << result.error().message;

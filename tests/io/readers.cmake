@@ -16,3 +16,8 @@ if(TARGET strata_assimp)
 endif()
 strata_io_test(gltf_attributes_test)
 target_link_libraries(gltf_attributes_test PRIVATE nlohmann_json::nlohmann_json)
+strata_io_test(image_test)
+target_link_libraries(image_test PRIVATE JPEG::JPEG PNG::PNG WebP::webp)
+strata_io_test(texture_test)
+target_link_libraries(texture_test
+  PRIVATE JPEG::JPEG LibArchive::LibArchive nlohmann_json::nlohmann_json PNG::PNG WebP::webp)

@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "tests/support/image_maker.h"
 #include "tests/support/process.h"
 #include "tests/support/shapes.h"
 
@@ -172,6 +173,38 @@ TEST_F(RunStrata, SamplesCarryWhatTheMeshHas) {
   EXPECT_EQ(missing.status, 2);
   EXPECT_THAT(missing.err,
               HasSubstr("'colour' is not there; the mesh carries: color (3 x float32"));
+}
+
+TEST_F(RunStrata, SamplesCarryTheColourOfTheTexture) {
+  WriteFile(In("cube.obj"),
+            "mtllib m.mtl\nv 0 0 0\nv 4 0 0\nv 4 4 0\nvt 0 0\nvt 1 0\nvt 1 1\n"
+            "usemtl red\nf 1/1 2/2 3/3\n");
+  WriteFile(In("m.mtl"), "newmtl red\nKd 1 0.2 0\nmap_Kd white.png\n");
+  const std::vector<std::string> named = {"--attributes", "texture"};
+  const Outcome missing = Sample("a.ply", named);
+  EXPECT_NE(missing.status, 0);
+  EXPECT_THAT(missing.err, HasSubstr("the file 'white.png'"));
+  const Outcome all = Sample("a.ply", {"--attributes", "all", "--summary", In("a.json")});
+  EXPECT_EQ(all.status, 0) << all.err;
+  EXPECT_THAT(all.err, HasSubstr("left out   texture: "));
+  const json left_out = json::parse(ReadText(In("a.json")))["left_out"];
+  ASSERT_EQ(left_out.size(), 1u);
+  EXPECT_THAT(left_out[0].get<std::string>(), HasSubstr("white.png"));
+
+  WriteFile(In("white.png"),
+            MakePng(MakePixels(2, 2, 3, [](unsigned, unsigned, int) { return 255u; })));
+  EXPECT_THAT(Written("b.csv", named), HasSubstr(",255,51,0\n"));
+  const std::string ply = Written("b.ply", named);
+  EXPECT_THAT(ply, HasSubstr("property uchar red\nproperty uchar green\nproperty uchar blue\n"));
+  EXPECT_THAT(ply, HasSubstr("\"name\":\"texture\",\"type\":\"uint8\",\"components\":3,"
+                             "\"semantic\":\"texture\",\"color_space\":\"srgb\""));
+  EXPECT_THAT(Written("b.npz", named), HasSubstr("texture.npy"));
+  EXPECT_THAT(Written("b.glb", named), HasSubstr("\"COLOR_0\""));
+  EXPECT_THAT(Written("b.drc", named), HasSubstr("texture"));
+  const Outcome info = Strata({"info", In("cube.obj")});
+  EXPECT_THAT(info.out, HasSubstr("texture    white.png: png, 2 x 2, 3 x 8 bits; "
+                                  "base colour of 1: red\n"));
+  EXPECT_THAT(info.out, HasSubstr("attribute  texture (3 x uint8, triangle)\n"));
 }
 
 TEST_F(RunStrata, ThreadsAndBatchesDoNotShowInTheBytes) {

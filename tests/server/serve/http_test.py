@@ -1,12 +1,18 @@
 #!/usr/bin/env python3
 """HTTP as curl speaks it: what is answered to a well-behaved client."""
+import base64
 import hashlib
+import io
 import json
 import pathlib
 import re
+import zipfile
 
 import harness
 from harness import CUBE, ServerCase, sample_by_command, spot, tiles_by_command, tiles_in_zip
+
+WHITE_PIXEL = base64.b64decode(
+    'iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR42mP4//8/AAX+Av4zEpUUAAAAAElFTkSuQmCC')
 
 
 class Samples(ServerCase):
@@ -48,6 +54,20 @@ class Samples(ServerCase):
             expected = sample_by_command(spot(), 'ply', '--method', 'uniform', *flags)
             self.assertEqual(answer.status, 200, answer.body)
             self.assertTrue(answer.body == expected, query)
+
+    def test_textures_are_found_in_a_zip_and_nowhere_beside_a_mesh_alone(self):
+        obj = b'mtllib m.mtl\nv 0 0 0\nv 4 0 0\nv 4 4 0\nusemtl red\nf 1 2 3\n'
+        packed = io.BytesIO()
+        with zipfile.ZipFile(packed, 'w') as archive:
+            for name, content in [('m.obj', obj), ('m.mtl', b'newmtl red\nKd 1 0.2 0\nmap_Kd a.png\n'),
+                                  ('a.png', WHITE_PIXEL)]:
+                archive.writestr(name, content)
+        inside = self.server.curl('/v1/samples?format=csv&attributes=texture', body=packed.getvalue())
+        self.assertEqual(inside.status, 200, inside.body)
+        self.assertIn(b',255,51,0\n', inside.body)
+        alone = self.server.curl('/v1/samples?format=csv&attributes=texture', body=obj)
+        self.assertProblem(alone, 415, 'unsupported-format', "needs the file 'm.mtl', and this input has no folder")
+        self.assertEqual(self.server.curl('/v1/samples?attributes=all', body=obj).status, 200)
 
     def test_more_samples_than_a_tile_are_the_folder_of_tiles_in_a_zip(self):
         query = '/v1/samples?resolution=40&tile_samples=500'
