@@ -41,7 +41,7 @@ struct WriterResources {
   /// zip of stored members, the manifest last, instead of an error.
   bool tiles_in_zip = false;
   /// The program strata-vdb, which a `vdb` output needs: OpenVDB's library is its alone.
-  std::string vdb_program;
+  std::string vdb_program{};
 };
 
 /// Whether a `vdb` can be written with it. Errors: kUnsupported.
