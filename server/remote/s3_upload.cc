@@ -191,6 +191,7 @@ Result<std::string> S3Client::PutParts(const S3Name& name, const std::string& id
     helpers_ += helpers;
   }
   std::vector<std::thread> threads;
+  threads.reserve(static_cast<std::size_t>(helpers));
   for (int i = 0; i < helpers; ++i) threads.emplace_back([this, &parts] { SendParts(parts); });
   SendParts(parts);
   for (std::thread& thread : threads) thread.join();
