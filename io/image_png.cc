@@ -53,6 +53,10 @@ bool Run(PngJob& job) {
   if (setjmp(png_jmpbuf(job.png)) != 0) return false;  // NOLINT(cert-err52-cpp)
   png_set_read_fn(job.png, &job, Fill);
   png_set_user_limits(job.png, kMostPixels, kMostPixels);
+  // Texts and profiles say nothing here, and libpng would keep megabytes for each kilobyte of them.
+  png_set_keep_unknown_chunks(job.png, PNG_HANDLE_CHUNK_NEVER, nullptr, -1);
+  // Else a damaged tRNS is dropped in silence, and with it all transparency.
+  png_set_crc_action(job.png, PNG_CRC_ERROR_QUIT, PNG_CRC_ERROR_QUIT);
   png_read_info(job.png, job.info);
   AskForRgba(job);
   const int passes = png_set_interlace_handling(job.png);

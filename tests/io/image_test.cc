@@ -1,6 +1,8 @@
 #include "io/image.h"
 
 #include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <zlib.h>
 
 #include <array>
 #include <cstdlib>
@@ -209,6 +211,53 @@ TEST(Image, ThatClaimsMoreThanItsBytesCanHoldIsRefusedBeforeAnyIsTaken) {
     EXPECT_NE(image.error().message.find("cannot hold the"), std::string::npos)
         << image.error().message;
   }
+}
+
+std::string PngChunk(const std::string& type, const std::string& body) {
+  const auto big_endian = [](unsigned long number) {
+    std::string text;
+    for (const int shift : {24, 16, 8, 0}) text += static_cast<char>(number >> shift & 255);
+    return text;
+  };
+  const std::string all = type + body;
+  const auto* const bytes = reinterpret_cast<const unsigned char*>(all.data());
+  return big_endian(body.size()) + all +
+         big_endian(crc32(0, bytes, static_cast<unsigned>(all.size())));
+}
+
+// Eight kilobytes a chunk, of which libpng would keep eight megabytes each.
+TEST(Image, WithTextsThatUnpackToGigabytesTakesNoneOfThem) {
+  const Pixels noise = Noise(3);
+  const std::string text(7'900'000, 'a');
+  std::vector<unsigned char> packed(compressBound(text.size()));
+  unsigned long size = packed.size();
+  ASSERT_EQ(compress2(packed.data(), &size, reinterpret_cast<const unsigned char*>(text.data()),
+                      text.size(), 9),
+            Z_OK);
+  const std::string body =
+      std::string("key\0\0", 5) + std::string(reinterpret_cast<const char*>(packed.data()), size);
+  std::string texts;
+  for (int k = 0; k < 100; ++k) texts += PngChunk("zTXt", body);
+  constexpr std::size_t kHead = 33;  // Signature and IHDR.
+  std::string png = MakePng(noise);
+  png.insert(kHead, texts);
+  rusage before{}, after{};
+  ASSERT_EQ(getrusage(RUSAGE_SELF, &before), 0);
+  const Image image = Decoded(png);
+  ASSERT_EQ(getrusage(RUSAGE_SELF, &after), 0);
+  EXPECT_EQ(FurthestOf(image, noise), 0);
+  EXPECT_LT(after.ru_maxrss - before.ru_maxrss, 100'000) << "kilobytes; kept, they are 790,000";
+}
+
+TEST(Image, OfAPaletteWhoseAlphasAreDamagedIsRefusedNotOpaque) {
+  std::string png = MakePng(MakePixels(2, 1, 1, [](unsigned x, unsigned, int) { return x; }),
+                            {.palette = {255, 0, 0, 10, 0, 255, 0, 20}});
+  const std::size_t alphas = png.find("tRNS");
+  ASSERT_NE(alphas, std::string::npos);
+  png[alphas + 4] = 11;
+  const auto image = DecodeImage(png, "image", nullptr);
+  ASSERT_FALSE(image);
+  EXPECT_EQ(image.error().code, ErrorCode::kCorruptInput);
 }
 
 TEST(Image, IsToldByItsBytesAndOtherTypesAreRefused) {
