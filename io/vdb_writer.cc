@@ -77,6 +77,15 @@ Result<VdbCodec> ChooseCodec(const SampleHeader& header, const std::string& name
                   Text(1.01 * finest / header.edge) + " (ply, xyz and npz are exact)");
 }
 
+// OpenVDB takes a transform whose determinant is below 3e-15 for one that cannot be inverted.
+Result<void> CheckEdge(const SampleHeader& header, const std::string& name) {
+  if (header.edge * header.edge * header.edge >= 3e-15) return {};
+  return Fail(ErrorCode::kOverBudget,
+              name + ": cells with an edge of " + Text(header.edge) +
+                  " are too small for a vdb, whose transforms begin at 1.45e-05; scale the mesh " +
+                  "(metres to millimetres), or use ply, npz or drc");
+}
+
 // The voxel of each sample, and where in it: the cell that drew the sample, or where it lies
 // outside of that (subdivide) the cell in which it lies.
 class VoxelPlaces {
@@ -360,6 +369,7 @@ Result<std::unique_ptr<SampleWriter>> MakeVdbWriter(std::unique_ptr<AtomicFile> 
   if (auto found = CheckVdbProgram(resources.vdb_program); !found) {
     return Fail(found.error().code, name + ": " + found.error().message);
   }
+  if (auto large_enough = CheckEdge(header, name); !large_enough) return Forward(large_enough);
   const auto codec = ChooseCodec(header, name);
   if (!codec) return Forward(codec);
   const auto leaves = LeafNumbers::Of(header, name);

@@ -582,5 +582,24 @@ TEST(VdbWriter, RefusesSamplesFurtherApartThanItCounts) {
   EXPECT_THAT(MessageOf(refused), HasSubstr("further apart"));
 }
 
+TEST(VdbWriter, RefusesCellsTooSmallForATransformAndWritesTheSmallestOnes) {
+  const TempFolder folder;
+  const auto write_with_edge = [&](double edge) {
+    SampleColumns sample;
+    sample.position = {{edge / 4, edge / 4, edge / 4}};
+    SampleHeader header = HeaderOn(sample, 0);
+    header.edge = edge;
+    header.lattice_origin = {};
+    header.position_error = edge / 100;
+    return Write(folder / "a.vdb", sample, header);
+  };
+  const auto refused = write_with_edge(1.44e-5);
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.error().code, ErrorCode::kOverBudget);
+  EXPECT_THAT(MessageOf(refused), HasSubstr("edge of 1.44e-05 are too small for a vdb"));
+  const auto written = write_with_edge(1.45e-5);
+  EXPECT_TRUE(written) << MessageOf(written);
+}
+
 }  // namespace
 }  // namespace strata::io
