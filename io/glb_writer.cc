@@ -45,6 +45,7 @@ struct Accessor {
   int components = 1;
   bool normalized = false;
   std::unique_ptr<Spool> spool;
+  std::uint64_t not_finite = 0;  // Floats that were written as something else.
 
   std::size_t stride() const {
     return (static_cast<std::size_t>(components) * BytesOf(type) + 3) / 4 * 4;
@@ -217,7 +218,23 @@ class GlbWriter final : public FileWriter {
     const std::size_t stride = accessor.stride();
     std::vector<char> rows(n * stride);
     for (std::size_t i = 0; i < n; ++i) value(i, rows.data() + i * stride);
+    if (accessor.type == kFloat) accessor.not_finite += MakeFinite(rows);
     return accessor.spool->Append({rows.data(), rows.size()});
+  }
+  // glTF allows finite numbers alone: what is none becomes 0, what is too large the largest there
+  // is. Returns how many did.
+  static std::uint64_t MakeFinite(std::span<char> floats) {
+    constexpr float kMost = std::numeric_limits<float>::max();
+    std::uint64_t changed = 0;
+    for (std::size_t at = 0; at < floats.size(); at += sizeof(float)) {
+      float number;
+      std::memcpy(&number, floats.data() + at, sizeof number);
+      if (std::isfinite(number)) continue;
+      number = std::isnan(number) ? 0 : std::copysign(kMost, number);
+      std::memcpy(floats.data() + at, &number, sizeof number);
+      ++changed;
+    }
+    return changed;
   }
   template <std::size_t N>
   static void PutFloats(const std::array<double, N>& numbers, char* out) {
@@ -329,6 +346,7 @@ class GlbWriter final : public FileWriter {
                        {"count", header().count},
                        {"type", ShapeOf(a.components)}};
       if (a.normalized) accessor["normalized"] = true;
+      if (a.not_finite > 0) accessor["extras"] = {{"not_finite", a.not_finite}};
       if (k == 0) accessor["min"] = low_, accessor["max"] = high_;
       accessors.push_back(std::move(accessor));
       attributes[a.name] = k;

@@ -3,10 +3,13 @@
 #include <stdio.h>
 #include <sys/wait.h>
 
+#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
+#include <limits>
 #include <nlohmann/json.hpp>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -163,6 +166,35 @@ TEST(GlbWriter, TurnsColoursIntoLight) {
     const double blue = static_cast<std::uint8_t>(w.samples.carried[8][3 * i + 2]) / 255.0;
     EXPECT_NEAR(At<std::uint16_t>(glb, "COLOR_2", i, 2) / 65535.0, LinearOfSrgb(blue), 1e-5);
   }
+}
+
+TEST(GlbWriter, WritesFiniteNumbersAloneAndSaysHowManyWereNot) {
+  const TempFolder folder;
+  const double inf = HUGE_VAL, nan = std::nan("");
+  SampleColumns samples = RandomSamples(3, 12, 0.125, {});
+  SampleHeader header = HeaderFor(samples, 0);
+  header.carried = {MakeAttribute("uv", ScalarType::kFloat64, 2, Semantic::kUv),
+                    MakeAttribute("heat", ScalarType::kFloat32, 1)};
+  const std::array<double, 6> uv = {nan, 0.5, -inf, 1e300, 1, 2};
+  const std::array<float, 3> heat = {1, 2, 3};
+  const auto bytes = [](const auto& numbers) {
+    const auto all = std::as_bytes(std::span(numbers));
+    const auto* const begin = reinterpret_cast<const char*>(all.data());
+    return std::vector<char>(begin, begin + all.size());
+  };
+  samples.carried = {bytes(uv), bytes(heat)};
+  auto writer = OpenSampleWriter(folder / "a.glb", SampleFormat::kGlb, header);
+  ASSERT_TRUE(writer) << MessageOf(writer);
+  ASSERT_TRUE((*writer)->Write(samples));
+  ASSERT_TRUE((*writer)->Finish());
+  const Glb glb = Parse(test::ReadFile(folder / "a.glb"));
+  constexpr float kMost = std::numeric_limits<float>::max();
+  const std::array<float, 6> expected = {0, 0.5f, -kMost, kMost, 1, 2};
+  for (std::size_t k = 0; k < 6; ++k) {
+    EXPECT_EQ(At<float>(glb, "TEXCOORD_0", k / 2, k % 2), expected[k]) << "number " << k;
+  }
+  EXPECT_EQ(glb.document["accessors"][1]["extras"]["not_finite"], 3);
+  EXPECT_FALSE(glb.document["accessors"][2].contains("extras"));
 }
 
 TEST(GlbWriter, WritesWhatTheKhronosValidatorAccepts) {
