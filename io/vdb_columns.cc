@@ -149,8 +149,9 @@ std::string VdbColumns::NameFor(const std::string& wanted) const {
            std::ranges::find(attributes_, name, &VdbAttribute::name) != attributes_.end();
   };
   std::string name = wanted;
-  std::ranges::replace(name, '-',
-                       '_');  // OpenVDB's names have none; all else is as FixNames left it.
+  // OpenVDB's names have none of these; all else is as FixNames left it.
+  std::ranges::replace_if(
+      name, [](char c) { return c == '-' || c == '.'; }, '_');
   if (taken(name)) name = "mesh_" + name;
   const std::string stem = name;
   for (int k = 2; taken(name); ++k) name = stem + "_" + std::to_string(k);

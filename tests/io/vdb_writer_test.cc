@@ -234,7 +234,8 @@ Written WriteAll(const std::string& path) {
                       MakeAttribute("light", ScalarType::kUint16, 3, Semantic::kColor),
                       MakeAttribute("N", ScalarType::kFloat32, 1),
                       MakeAttribute("a-b", ScalarType::kFloat32, 1),
-                      MakeAttribute("a_b", ScalarType::kFloat32, 1)};
+                      MakeAttribute("a_b", ScalarType::kFloat32, 1),
+                      MakeAttribute("v1.2", ScalarType::kFloat32, 1)};
   w.header.carried[0].color_space = ColorSpace::kSrgb;
   w.header.carried[13].names = {"oak", "ash \"grey\""};
   std::mt19937_64 random(5);
@@ -288,10 +289,10 @@ class EveryAttribute : public testing::Test {
 };
 
 TEST_F(EveryAttribute, IsNamedAsHoudiniNamesIt) {
-  EXPECT_THAT(points_.names,
-              ElementsAre("P", "N", "triangle", "barycentric", "cell", "area", "weight", "Cd",
-                          "Alpha", "uv", "i8", "u8", "i16", "u16", "i32", "u32", "i64", "u64",
-                          "f32", "f64", "many", "material", "light", "mesh_N", "a_b", "mesh_a_b"));
+  EXPECT_THAT(points_.names, ElementsAre("P", "N", "triangle", "barycentric", "cell", "area",
+                                         "weight", "Cd", "Alpha", "uv", "i8", "u8", "i16", "u16",
+                                         "i32", "u32", "i64", "u64", "f32", "f64", "many",
+                                         "material", "light", "mesh_N", "a_b", "mesh_a_b", "v1_2"));
 }
 
 TEST_F(EveryAttribute, OfTheFixedOnesIsExact) {
@@ -334,6 +335,7 @@ TEST_F(EveryAttribute, OfTheMeshIsExact) {
   ExpectSame<float, float>("mesh_N", 15, "float", 1, 1);
   ExpectSame<float, float>("a_b", 16, "float", 1, 1);
   ExpectSame<float, float>("mesh_a_b", 17, "float", 1, 1);
+  ExpectSame<float, float>("v1_2", 18, "float", 1, 1);
 }
 
 TEST_F(EveryAttribute, OfColourAndUvIsAVectorThatGivesTheColumnBack) {
