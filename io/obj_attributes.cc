@@ -343,7 +343,10 @@ class ObjPassOpener {
   Result<void> AddFloats(std::string_view rest, std::size_t table) {
     std::array<double, N> numbers;
     char row[N * sizeof(float)];
-    PutFloats(numbers.data(), Numbers(rest, numbers), N, row);
+    std::size_t given = Numbers(rest, numbers);
+    // Of a UV the second is 0 where the file leaves it out.
+    if (N == 2 && given == 1) numbers[given++] = 0;
+    PutFloats(numbers.data(), given, N, row);
     return mesh_.tables[table]->Append(row);
   }
   // `given` of `n` numbers are there; the rest is none.

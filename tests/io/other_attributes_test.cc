@@ -130,6 +130,19 @@ TEST(ObjAttributes, ReachTheSamples) {
   }
 }
 
+TEST(ObjAttributes, HaveZeroForTheSecondOfAUvThatIsLeftOut) {
+  const auto result =
+      Sample("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5\nvt 1\nvt 0\nf 1/1 2/2 3/3\n", "a.obj", {"uv"});
+  ASSERT_TRUE(result) << result.error().message;
+  const auto uv = Column<float>(*result, "uv");
+  ASSERT_FALSE(uv.empty());
+  for (std::size_t i = 0; 2 * i < uv.size(); ++i) {
+    const Vec3 p = result->samples.position[i];
+    EXPECT_NEAR(uv[2 * i], 0.5 + p.x / 2 - p.y / 2, 1e-6);
+    EXPECT_EQ(uv[2 * i + 1], 0);
+  }
+}
+
 TEST(ObjAttributes, OfAPlainFileAreNone) {
   EXPECT_EQ(AttributesOf("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj"), "none");
 }
