@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -13,6 +14,7 @@
 #include "core/result.h"
 #include "core/sample_mesh.h"
 #include "core/scan.h"
+#include "io/companion_file.h"
 #include "io/sample_writer.h"
 #include "server/command_text.h"
 #include "server/option_table.h"
@@ -23,6 +25,8 @@ namespace strata::server {
 struct SampleCommand {
   std::string input;   ///< Path, or "-" for standard input.
   std::string output;  ///< Path, or "-" for standard output.
+  /// Where files are that the mesh names. Null: in the input's folder.
+  std::shared_ptr<const io::CompanionFiles> companions;
   SampleOptions options;
   io::SampleFormat format = io::SampleFormat::kDraco;
   double position_error = 0.01;  ///< Fraction of the cell's edge; 1e-9 to 1.

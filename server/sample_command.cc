@@ -121,7 +121,9 @@ Error Named(Error error, const std::string& input) {
 Result<std::unique_ptr<MeshReader>> OpenInput(const SampleCommand& command, RunContext& context,
                                               JobFigures& figures) {
   const Stopwatch watch;
-  auto reader = io::OpenMesh(command.input, OpenWithin(context, command.assimp));
+  io::OpenOptions open = OpenWithin(context, command.assimp);
+  open.companions = command.companions;
+  auto reader = io::OpenMesh(command.input, open);
   if (!reader) return Forward(reader);
   if (context.cancelled()) return Cancelled();
   figures.mesh = (*reader)->info();

@@ -68,6 +68,14 @@ TaskOutcome Lost(const BatchTask& task, const internal::WorkerJob& job, int stat
   return Failed(LineOf(task), "crashed", "its worker crashed with " + how, false);
 }
 
+void AddCompanions(const internal::WorkerFigures& figures, ManifestLine& line) {
+  for (const internal::Companion& each : figures.companions()) {
+    if (IsModelPath(each.path())) {
+      line.companions.push_back({each.path(), each.bytes(), each.stamp()});
+    }
+  }
+}
+
 void AddSummary(const v1::SampleSummary& summary, ManifestLine& line) {
   line.samples = summary.samples();
   line.cells = summary.cells();
@@ -141,6 +149,8 @@ TaskOutcome BatchLane::RunFetched(const BatchTask& task, const LocalModel& model
   worker_.Send(job);
   TaskOutcome outcome = Hear(task, job);
   outcome.line.measured.worker = worker;
+  // What is a copy lies alone.
+  if (model.keep != nullptr) outcome.line.companions.clear();
   if (!worker_.started()) shop_.outputs.Discard(output);
   if (outcome.kind != TaskOutcome::Kind::kSampled) return outcome;
   outcome.line.output = output;
@@ -168,6 +178,7 @@ TaskOutcome BatchLane::Hear(const BatchTask& task, const internal::WorkerJob& jo
       }
       outcome.line.input_sha256 = event->figures().input_sha256();
       outcome.line.output_sha256 = event->figures().output_sha256();
+      AddCompanions(event->figures(), outcome.line);
       outcome.line.measured.peak_memory_bytes = event->figures().peak_memory_bytes();
       RecycleIfGrown(event->figures());
       return outcome;

@@ -88,6 +88,19 @@ Result<bool> StillHolds(const ManifestLine& line, const ModelOptions& options,
   return outputs.IsThere(line.output, line.output_bytes);
 }
 
+/// Whether the files that the model's mesh asked for are as they were.
+Result<bool> CompanionsHold(const ManifestLine& line, ModelSource& source) {
+  const std::string folder = line.path.substr(0, line.path.rfind('/') + 1);
+  for (const CompanionEntry& companion : line.companions) {
+    const auto now = source.Find(folder + companion.path);
+    if (!now) return Forward(now);
+    const bool same = *now ? (*now)->stamp == companion.stamp && (*now)->size == companion.size
+                           : companion.stamp.empty();
+    if (!same) return false;
+  }
+  return true;
+}
+
 /// The line of a model that need not be sampled again, unless its bytes have changed. One of
 /// another share is copied.
 Result<std::optional<ManifestLine>> FindDone(const ModelEntry& model, const ModelOptions& options,
@@ -98,6 +111,9 @@ Result<std::optional<ManifestLine>> FindDone(const ModelEntry& model, const Mode
     const auto holds = StillHolds(line, options, places.outputs);
     if (!holds) return Forward(holds);
     if (!*holds || (line.sampled && IsOverruled(line, *lines))) continue;
+    const auto companions = CompanionsHold(line, places.source);
+    if (!companions) return Forward(companions);
+    if (!*companions) continue;
     const auto own = places.manifest.Find(model.path);
     if (!own) return Forward(own);
     if (!*own || (*own)->measured.finished != line.measured.finished) {

@@ -19,6 +19,7 @@
 #include "io/output_place.h"
 #include "io/sample_writer.h"
 #include "server/batch/glob.h"
+#include "server/service/file_stamp.h"
 
 namespace strata::server {
 namespace {
@@ -46,12 +47,6 @@ fs::path Resolved(const std::string& path) {
 bool IsBelow(const fs::path& path, const fs::path& folder) {
   return std::mismatch(folder.begin(), folder.end(), path.begin(), path.end()).first ==
          folder.end();
-}
-
-std::string StampOf(const struct stat& status) {
-  const auto nanoseconds = std::to_string(1'000'000'000 + status.st_mtim.tv_nsec).substr(1);
-  return std::to_string(status.st_mtim.tv_sec) + '.' + nanoseconds + ' ' +
-         std::to_string(status.st_ino);
 }
 
 ModelEntry EntryOf(const std::string& path, const struct stat& status) {

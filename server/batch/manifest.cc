@@ -30,6 +30,18 @@ tl::unexpected<Error> FailSystem(const std::string& name, int error) {
   return Fail(ErrorCode::kIo, name + ": " + io::SystemReason(error));
 }
 
+void PutCompanions(const std::vector<CompanionEntry>& companions, Json& json) {
+  for (const CompanionEntry& each : companions) {
+    Json entry;
+    PutName(entry, "path", each.path);
+    if (!each.stamp.empty()) {
+      entry["bytes"] = each.size;
+      entry["stamp"] = each.stamp;
+    }
+    json["companions"].push_back(std::move(entry));
+  }
+}
+
 void PutResult(const ManifestLine& line, Json& json) {
   PutName(json, "output", line.output);
   json["output_bytes"] = line.output_bytes;
@@ -93,6 +105,17 @@ void CheckNames(const ManifestLine& line) {
   }
 }
 
+void GetCompanions(const Json& json, std::vector<CompanionEntry>& companions) {
+  for (const Json& each : json) {
+    CompanionEntry& entry = companions.emplace_back();
+    entry.path = GetName(each, "path");
+    if (!IsModelPath(entry.path)) throw NotOurs{"companion is none below the model's folder"};
+    if (!each.contains("stamp")) continue;
+    entry.size = Count(each, "bytes");
+    each.at("stamp").get_to(entry.stamp);
+  }
+}
+
 void GetResult(const Json& json, ManifestLine& line) {
   line.output = GetName(json, "output");
   line.output_bytes = Count(json, "output_bytes");
@@ -127,6 +150,7 @@ ManifestLine LineOf(const Json& json) {
     json.at("input_sha256").get_to(line.input_sha256);
     line.input_bytes = Count(json, "input_bytes");
     json.at("stamp").get_to(line.stamp);
+    if (json.contains("companions")) GetCompanions(json.at("companions"), line.companions);
     json.at("version").get_to(line.version);
     line.options = json.at("options").dump();
   }
@@ -163,6 +187,7 @@ std::string ToJsonLine(const ManifestLine& line) {
     json["input_sha256"] = line.input_sha256;
     json["input_bytes"] = line.input_bytes;
     json["stamp"] = line.stamp;
+    PutCompanions(line.companions, json);
     json["version"] = line.version;
     json["options"] = Json::parse(line.options);
   }

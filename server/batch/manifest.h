@@ -19,6 +19,13 @@
 
 namespace strata::server {
 
+/// A file that a model's mesh asked for.
+struct CompanionEntry {
+  std::string path;  ///< Below the folder of the model.
+  std::uint64_t size = 0;
+  std::string stamp;  ///< ModelEntry::stamp; empty: it was not there.
+};
+
 /// One model's line. What a failed one does not have is empty or 0.
 struct ManifestLine {
   std::string path;
@@ -27,7 +34,8 @@ struct ManifestLine {
       false;  ///< Pruned, where a manifest of another share still has a line. No more is set.
   std::string input_sha256;
   std::uint64_t input_bytes = 0;
-  std::string stamp;    ///< ModelEntry::stamp.
+  std::string stamp;  ///< ModelEntry::stamp.
+  std::vector<CompanionEntry> companions;
   std::string version;  ///< Of Strata.
   std::string options;  ///< ModelOptions::json.
 

@@ -59,7 +59,8 @@ Result<v1::SampleSummary> Run(SampleCommand command, const std::string& input_na
 }  // namespace
 
 Result<v1::SampleSummary> RunJob(const internal::WorkerJob& job, int mesh, int result,
-                                 RunContext& context) {
+                                 RunContext& context,
+                                 std::shared_ptr<const io::CompanionFiles> companions) {
   auto command = CommandOf(job.options(), job.input().empty() ? PathOf(mesh) : job.input(),
                            job.output().empty() ? PathOf(result) : job.output());
   if (!command) return Forward(command);
@@ -69,6 +70,7 @@ Result<v1::SampleSummary> RunJob(const internal::WorkerJob& job, int mesh, int r
     command->picture_height = static_cast<int>(job.picture_height());
   }
   if (!job.simd().empty()) command->simd = job.simd();
+  command->companions = std::move(companions);
   command->memory = job.memory_bytes();
   command->tiles_in_zip = job.output().empty();  // A body is one file.
   command->checkpoints =

@@ -2,10 +2,12 @@
 #pragma once
 
 #include <functional>
+#include <memory>
 #include <string>
 
 #include "core/result.h"
 #include "core/run_context.h"
+#include "io/companion_file.h"
 #include "strata/internal/worker.pb.h"
 #include "strata/v1/options.pb.h"
 
@@ -24,9 +26,11 @@ struct JobWatch {
 
 /// Runs `job` on this thread (and its workers) from job.input to job.output; where it names none,
 /// from the open file `mesh` to the open, empty file `result`. Both stay open. Memory:
-/// job.memory_bytes. Errors: those of RunSample; messages call the mesh job.input_name.
+/// job.memory_bytes. Files that the mesh names come from `companions`, without it from the input's
+/// folder. Errors: those of RunSample; messages call the mesh job.input_name.
 Result<v1::SampleSummary> RunJob(const internal::WorkerJob& job, int mesh, int result,
-                                 RunContext& context);
+                                 RunContext& context,
+                                 std::shared_ptr<const io::CompanionFiles> companions = nullptr);
 
 /// RunJob on a thread of its own, watched. Errors: also kCancelled when it is gone, kOverBudget
 /// when it outgrows job.seconds or job.result_bytes.

@@ -130,11 +130,12 @@ void LimitSelf(const internal::WorkerJob& job) {
   LimitMemory(job);
 }
 
-Result<v1::SampleSummary> RunGuarded(const internal::WorkerJob& job) {
+Result<v1::SampleSummary> RunGuarded(const internal::WorkerJob& job,
+                                     std::shared_ptr<const io::CompanionFiles> companions) {
   try {
     RunContext context(job.memory_bytes());
     const Reporter reporter(context);
-    return RunJob(job, kWorkerMesh, kWorkerResult, context);
+    return RunJob(job, kWorkerMesh, kWorkerResult, context, std::move(companions));
   } catch (const std::bad_alloc&) {
     return Fail(ErrorCode::kOverBudget,
                 "out of memory; the job may use " + std::to_string(job.memory_bytes()) + " bytes");
@@ -153,7 +154,7 @@ bool ParentIsGone() {
 internal::WorkerEvent RunReported(const internal::WorkerJob& job) {
   JobFiles files(job);
   internal::WorkerEvent last;
-  const auto outcome = files.Begin() ? RunGuarded(job) : v1::SampleSummary();
+  const auto outcome = files.Begin() ? RunGuarded(job, files.companions()) : v1::SampleSummary();
   if (auto ended = files.End(outcome, *last.mutable_figures()); !ended) {
     last.mutable_failed()->set_code(static_cast<std::uint32_t>(ended.error().code));
     last.mutable_failed()->set_message(ended.error().message);

@@ -87,6 +87,12 @@ Result<std::string> HashOutput(const std::string& path) {
   return io::Sha256Hex(lines);
 }
 
+JobFiles::JobFiles(const internal::WorkerJob& job) : job_(job) {
+  if (!job.hash()) return;
+  const fs::path folder = fs::path(job.input()).parent_path();
+  companions_ = std::make_shared<CompanionsSeen>(folder.empty() ? "." : folder.string());
+}
+
 bool JobFiles::Begin() {
   if (!job_.hash()) return true;
   ForgetPeak();
@@ -115,6 +121,7 @@ Result<void> JobFiles::Finish(Result<void> outcome, internal::WorkerFigures& fig
   figures.set_input_sha256(input_sha256_);
   figures.set_input_bytes(input_bytes_);
   figures.set_unchanged(unchanged_);
+  companions_->AddTo(figures);
   if (outcome && !unchanged_) {
     auto hash = HashOutput(job_.output());
     if (hash) figures.set_output_sha256(*hash);

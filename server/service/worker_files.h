@@ -1,9 +1,11 @@
 // What a worker says of a job's files beside sampling them: their hashes, and what memory it took.
 #pragma once
 
+#include <memory>
 #include <string>
 
 #include "core/result.h"
+#include "server/service/companions_seen.h"
 #include "strata/internal/worker.pb.h"
 
 namespace strata::server {
@@ -11,7 +13,11 @@ namespace strata::server {
 /// Of one job that names its files, while it runs. Threads: one.
 class JobFiles {
  public:
-  explicit JobFiles(const internal::WorkerJob& job) : job_(job) {}
+  explicit JobFiles(const internal::WorkerJob& job);
+
+  /// Where the mesh's companions are, if the job wants hashes: whatever is opened there stands in
+  /// the figures. Else null.
+  std::shared_ptr<const io::CompanionFiles> companions() const { return companions_; }
 
   /// Hashes the input, if the job wants hashes. Whether it is to be sampled: not if it cannot be
   /// read or has the hash that is known.
@@ -28,6 +34,7 @@ class JobFiles {
   Result<void> HashInput();
 
   const internal::WorkerJob& job_;
+  std::shared_ptr<const CompanionsSeen> companions_;
   Result<void> begun_;
   std::string input_sha256_, input_state_;
   std::uint64_t input_bytes_ = 0;

@@ -4,6 +4,7 @@ import json
 import os
 import pathlib
 import signal
+import struct
 import subprocess
 import unittest
 
@@ -110,6 +111,33 @@ class GoesOn(BatchTest):
         self.put('bad.off', CUBE)
         self.assertEqual(counts(self.batch(*QUICK)), (3, 8, 0))
         self.assert_as_manifest_says()
+
+    def test_a_model_is_redone_when_a_file_that_it_names_changes_comes_or_goes(self):
+        points = [0.0, 0, 0, 1, 0, 0, 0, 1, 0]
+        self.put('a/mesh.gltf', json.dumps({
+            'asset': {'version': '2.0'}, 'scenes': [{'nodes': [0]}], 'nodes': [{'mesh': 0}],
+            'buffers': [{'uri': './points.bin', 'byteLength': 36}],
+            'bufferViews': [{'buffer': 0, 'byteLength': 36}],
+            'accessors': [{'bufferView': 0, 'componentType': 5126, 'count': 3, 'type': 'VEC3',
+                           'min': [0, 0, 0], 'max': [1, 1, 0]}],
+            'meshes': [{'primitives': [{'attributes': {'POSITION': 0}}]}]}))
+        mesh = (self.repo / 'a/mesh.gltf').stat()
+        buffer = self.repo / 'a/points.bin'
+        self.put('b.obj', 'mtllib b.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl m\nf 1 2 3\n')
+        self.assertEqual(counts(self.batch(*QUICK, status=1)), (1, 0, 1))
+        buffer.write_bytes(struct.pack('<9f', *points))
+        self.assertEqual(counts(self.batch(*QUICK)), (1, 1, 0), 'the buffer is there now')
+        self.assertEqual([each['path'] for each in manifest(self.out)['a/mesh.gltf']['companions']],
+                         ['points.bin'])
+        self.assertEqual(counts(self.batch(*QUICK)), (0, 2, 0))
+        first = manifest(self.out)['a/mesh.gltf']
+        buffer.write_bytes(struct.pack('<9f', *(2 * value for value in points)))
+        self.assertEqual(counts(self.batch(*QUICK)), (1, 1, 0), 'the buffer changed')
+        self.assertEqual((self.repo / 'a/mesh.gltf').stat().st_mtime_ns, mesh.st_mtime_ns)
+        self.assertAlmostEqual(manifest(self.out)['a/mesh.gltf']['area'], 4 * first['area'])
+        buffer.unlink()
+        self.assertEqual(counts(self.batch(*QUICK, status=1)), (0, 1, 1), 'the buffer went')
+        self.assertEqual(set(outputs(self.out)), {'b.obj.drc'})
 
     def test_options_decide_what_is_redone(self):
         self.put('a/x.off')

@@ -46,7 +46,8 @@ class HostileManifest(BatchTest):
                         {'output': 'a.off/x.drc'}, {'output': 'a.off./../../victim.drc'},
                         {'output_hex': b'mine.txt\0a.off.drc'.hex()}, {'output_hex': '2e2e2f76'},
                         {'picture': '../victim.drc'}, {'picture': '.strata/pictures/../../mine.txt'},
-                        {'picture': '/etc/passwd'}, {'path': '../victim', 'output': '../victim.drc'},
+                        {'picture': '/etc/passwd'}, {'companions': [{'path': '../x.bin'}]},
+                        {'path': '../victim', 'output': '../victim.drc'},
                         {'path': ''}, {'path_hex': b'a\0b'.hex()}):
             with self.subTest(**changes):
                 (self.out / 'manifest.jsonl').write_text(self.text)

@@ -26,6 +26,7 @@ ManifestLine Sampled(const std::string& path) {
   line.input_sha256 = std::string(64, 'a');
   line.input_bytes = 1234;
   line.stamp = "12.000000001 7";
+  line.companions = {{"b.bin", 5, "11.000000002 8"}, {"c/\xff.png", 0, ""}};
   line.version = "0.1.0";
   line.options = R"({"resolution":16,"lambda":5,"seed":"18446744073709551615"})";
   line.output = path + ".drc";
@@ -57,6 +58,8 @@ TEST(ManifestLine, ReadsBackAsItWasWritten) {
   ASSERT_TRUE(read) << read.error().message;
   EXPECT_EQ(ToJsonLine(*read), text);
   EXPECT_EQ(read->options, line.options) << "options are compared as texts";
+  ASSERT_EQ(read->companions.size(), 2u);
+  EXPECT_EQ(read->companions[1].path, "c/\xff.png");
   EXPECT_EQ(read->skipped, line.skipped);
   EXPECT_EQ(read->measured.attempts, 2);
   const auto failed = FromJsonLine(ToJsonLine(Failed("x", "m")));
