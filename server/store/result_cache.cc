@@ -69,60 +69,87 @@ void ResultCache::Touch(const std::string& key) {
   uses_[key] = ++last_use_;
 }
 
-Result<std::optional<CachedResult>> ResultCache::Lookup(const std::string& key) {
-  std::string hash;
-  CachedResult result;
+Result<std::optional<ResultCache::Known>> ResultCache::FindKnown(const std::string& key) {
+  std::optional<Known> known;
   auto asked = parts_.database.Read().Query(
       "SELECT blob, media_type, summary, created FROM results WHERE key = ?",
       [&](const Row& row) {
-        hash = row.Text(0);
-        result.media_type = row.Text(1);
-        result.summary = row.Text(2);
-        result.created = FromMillis(row.Int(3));
+        known = Known{row.Text(0), row.Text(1), row.Text(2), FromMillis(row.Int(3))};
       },
       key);
   if (!asked) return Forward(asked);
-  if (hash.empty()) return std::nullopt;
-  auto content = parts_.blobs.OpenBlob(hash);
+  return known;
+}
+
+Result<std::optional<CachedResult>> ResultCache::OpenKnown(const std::string& key, Known known) {
+  auto content = parts_.blobs.OpenBlob(known.hash);
   if (!content && IsStoreAway(content.error())) return Forward(content);
   // Evicted since, or damaged from outside: both are mended by computing it again.
   if (!content) return std::nullopt;
+  CachedResult result;
   result.content = std::move(*content);
+  result.media_type = std::move(known.media_type);
+  result.summary = std::move(known.summary);
+  result.created = known.created;
   Touch(key);
   return result;
 }
 
+Result<std::optional<CachedResult>> ResultCache::Lookup(const std::string& key) {
+  auto known = FindKnown(key);
+  if (!known) return Forward(known);
+  if (!*known) return std::nullopt;
+  return OpenKnown(key, std::move(**known));
+}
+
 Result<CacheAnswer> ResultCache::Enter(const std::string& key) {
-  // Held over the lookup: who leads stores first and ends the flight then, so a result that is not
-  // found here still has its flight.
+  std::string broken;  // The blob that a row names and that cannot be opened.
+  while (true) {
+    auto known = FindKnown(key);
+    if (!known) return Forward(known);
+    if (*known && (*known)->hash != broken) {
+      broken = (*known)->hash;
+      // Without a lock: it may lie in a bucket that is slow.
+      auto found = OpenKnown(key, std::move(**known));
+      if (!found) return Forward(found);
+      if (*found) {
+        ++hits_;
+        CacheAnswer answer;
+        answer.hit = std::move(**found);
+        return answer;
+      }
+    }
+    auto answer = JoinOrLead(key, broken);
+    if (!answer) return Forward(answer);
+    if (*answer) return std::move(**answer);
+  }
+}
+
+Result<std::optional<CacheAnswer>> ResultCache::JoinOrLead(const std::string& key,
+                                                           const std::string& broken) {
   const std::lock_guard lock(flights_mutex_);
-  CacheAnswer answer;
-  auto found = Lookup(key);
-  if (!found) return Forward(found);
-  if (*found) {
-    ++hits_;
-    answer.hit = std::move(**found);
-    return answer;
-  }
-  auto& flight = flights_[key];
-  if (flight) {
+  std::optional<CacheAnswer> answer(std::in_place);
+  if (const auto flight = flights_.find(key); flight != flights_.end()) {
     ++waits_;
-    answer.wait = flight;
+    answer->wait = flight->second;
     return answer;
   }
+  // With the lock: who leads stores first and ends the flight then, so a result that is not found
+  // here still has its flight.
+  const auto known = FindKnown(key);
+  if (!known) return Forward(known);
+  if (*known && (*known)->hash != broken) return std::nullopt;
   const auto leads = TakeLead(key);
-  if (!leads) {
-    flights_.erase(key);
-    return Forward(leads);
-  }
-  flight = std::make_shared<ResultWait>();
+  if (!leads) return Forward(leads);
+  const auto flight = std::make_shared<ResultWait>();
+  flights_[key] = flight;
   if (*leads) {
     ++misses_;
-    answer.lead.emplace(ResultLead(this, key));
+    answer->lead.emplace(ResultLead(this, key));
   } else {
     ++waits_;
     elsewhere_.insert(key);
-    answer.wait = flight;
+    answer->wait = flight;
   }
   return answer;
 }

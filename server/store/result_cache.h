@@ -128,7 +128,16 @@ class ResultCache {
     std::string key, blob;
     std::uint64_t size;
   };
+  /// What a row says of a result.
+  struct Known {
+    std::string hash, media_type, summary;
+    Timestamp created;
+  };
   explicit ResultCache(const Parts& parts) : parts_(parts) {}
+  Result<std::optional<Known>> FindKnown(const std::string& key);
+  Result<std::optional<CachedResult>> OpenKnown(const std::string& key, Known known);
+  /// Nothing: another result than `broken` was stored meanwhile.
+  Result<std::optional<CacheAnswer>> JoinOrLead(const std::string& key, const std::string& broken);
   Result<void> Store(const std::string& key, const BlobPin& blob, const std::string& media_type,
                      const std::string& summary);
   Result<std::vector<Candidate>> Candidates();
