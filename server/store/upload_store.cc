@@ -361,11 +361,22 @@ Result<std::string> UploadStore::HashOf(Entry& entry) {
   return HashFile(fd->get(), size, "uploads/" + entry.info.id);
 }
 
+// Beyond the durable offset may lie what a failed append left.
+Result<void> UploadStore::CutBack(const UploadInfo& info) const {
+  const auto fd = OpenFile(info);
+  if (!fd) return Forward(fd);
+  const auto size = RegularFileSize(fd->get(), "uploads/" + info.id);
+  if (!size) return Forward(size);
+  if (*size <= info.offset || ftruncate(fd->get(), static_cast<off_t>(info.offset)) == 0) return {};
+  return FailSystem("uploads/" + info.id, "cannot be cut back", errno);
+}
+
 // Each step may be repeated: after a crash before the last one the upload is still complete, and
 // the next process goes through all of them again.
 Result<void> UploadStore::CompleteIfWhole(Entry& entry) {
   UploadInfo info = entry.info;
   if (!info.hash.empty() || info.length != info.offset) return {};
+  if (auto cut = CutBack(info); !cut) return cut;
   const auto hash = HashOf(entry);
   if (!hash) return Forward(hash);
   const auto pin = parts_.blobs.Adopt(
@@ -399,6 +410,9 @@ Result<void> UploadStore::Remove(Entry& entry) {
     auto deleted =
         session->Run("DELETE FROM uploads WHERE id = ? AND holder = ?", id, entry.info.holder);
     if (!deleted) return Forward(deleted);
+    if (*deleted != 1) {  // Then its pieces are another's, too.
+      return Fail(ErrorCode::kConflict, "upload " + id + ": another process took it over");
+    }
     if (auto committed = session->Commit(); !committed) return committed;
   }
   unlinkat(parts_.folder.uploads().get(), FileOf(entry.info).c_str(), 0);

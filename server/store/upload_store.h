@@ -182,6 +182,7 @@ class UploadStore {
   /// Writes what may change of an upload to the database, then shows it to readers.
   Result<void> Update(Entry& entry, const UploadInfo& info);
   Result<void> StoreOffset(Entry& entry, std::uint64_t offset);
+  Result<void> CutBack(const UploadInfo& info) const;
   Result<std::string> HashOf(Entry& entry);
   /// Makes the upload its model if all of its bytes are there.
   Result<void> CompleteIfWhole(Entry& entry);
