@@ -34,6 +34,8 @@ namespace fs = std::filesystem;
 
 constexpr std::chrono::hours kStale{24};
 constexpr std::uint64_t kMostPicture = std::uint64_t{4} << 20;
+// Of a manifest whose writing failed: it may have come about.
+constexpr const char* kAnyTag = "?";
 // Below the folder of state. All but these, the manifests and the pictures stays local.
 constexpr const char* kJournalName = "/.strata/uploads";
 constexpr const char* kSavedName = "/.strata/saved";
@@ -231,6 +233,7 @@ class BucketOutput final : public OutputPlace {
       const std::string path = state_ + '/' + name;
       std::error_code failed;
       const bool is_here = fs::exists(path, failed);
+      if (IsBatchManifest(name)) known_[name] = object.etag;
       if (is_here && ((saved != nullptr && saved->etag == object.etag) || IsBatchPicture(name)))
         continue;
       const Result<void> done =
@@ -248,9 +251,7 @@ class BucketOutput final : public OutputPlace {
     if (!file) return Forward(file);
     if (const Result<void> written = (*file)->Write(*bytes); !written) return written;
     if (const auto done = (*file)->Finish(); !done) return Forward(done);
-    const Result<LocalFile> local = OpenLocal(state_ + '/' + name);
-    if (local) saved_.Set(name, {local->stamp, object.etag});
-    return {};
+    return NoteSaved(name, object.etag);
   }
 
   /// Of each model, the line that was written last, here or there.
@@ -261,8 +262,10 @@ class BucketOutput final : public OutputPlace {
     if (!file) return FailSystem(fetched, errno);
     const Result<S3Object> object = client_->GetToFile(NameAt(name), file.get());
     if (!object) return Forward(object);
+    known_[name] = object->etag;
     if (access(path.c_str(), F_OK) != 0) {
-      return rename(fetched.c_str(), path.c_str()) == 0 ? Result<void>() : FailSystem(path, errno);
+      if (rename(fetched.c_str(), path.c_str()) != 0) return FailSystem(path, errno);
+      return NoteSaved(name, object->etag);
     }
     const Result<ManifestReader> theirs = ManifestReader::Open(fetched);
     if (!theirs) return Forward(theirs);
@@ -275,7 +278,22 @@ class BucketOutput final : public OutputPlace {
       return is_newer ? (*ours)->Append(line) : Result<void>();
     });
     unlink(fetched.c_str());
-    return merged;
+    if (!merged) return merged;
+    // That of another share, as a rule: then it is not this one's to put there again.
+    for (const std::string& model : (*ours)->Paths()) {
+      const auto mine = (*ours)->Find(model), other = theirs->Find(model);
+      if (!mine || !other) return Forward(mine ? other : mine);
+      if (!*other || (*other)->measured.finished < (*mine)->measured.finished) return {};
+    }
+    return NoteSaved(name, object->etag);
+  }
+
+  /// What lies here is what lies there.
+  Result<void> NoteSaved(const std::string& name, const std::string& etag) {
+    const Result<LocalFile> local = OpenLocal(state_ + '/' + name);
+    if (!local) return Forward(local);
+    saved_.Set(name, {local->stamp, etag});
+    return {};
   }
 
   Result<void> SaveFile(const std::string& name) {
@@ -284,10 +302,24 @@ class BucketOutput final : public OutputPlace {
     if (!local) return access(path.c_str(), F_OK) != 0 ? Result<void>() : Forward(local);
     const SavedFiles::Entry* const saved = saved_.Find(name);
     if (saved != nullptr && saved->stamp == local->stamp) return {};
+    if (const Result<void> ours = CheckUnchanged(name); !ours) return ours;
     const Result<std::string> etag = client_->PutFile(NameAt(name), local->fd.get(), local->size);
+    if (IsBatchManifest(name)) known_[name] = etag ? *etag : kAnyTag;
     if (!etag) return Forward(etag);
     saved_.Set(name, {local->stamp, *etag});
     return {};
+  }
+
+  /// A batch that was paused, and taken up elsewhere meanwhile, must not put its few lines over the
+  /// other's: it ends, and the next one takes the lines of both.
+  Result<void> CheckUnchanged(const std::string& name) {
+    if (!IsBatchManifest(name) || known_[name] == kAnyTag) return {};
+    const Result<std::optional<S3Object>> there = client_->Find(NameAt(name));
+    if (!there) return Forward(there);
+    if (!*there || (*there)->etag.empty() || (*there)->etag == known_[name]) return {};
+    return Fail(ErrorCode::kConflict, NameAt(name).Shown() +
+                                          ": another process has written it since this one did, "
+                                          "so it goes on with the batch; run this one again later");
   }
 
   Result<void> PutOne(const std::string& output, const std::string& path) {
@@ -379,6 +411,9 @@ class BucketOutput final : public OutputPlace {
   std::map<std::string, S3Object>
       state_objects_;  // Manifests and pictures, as OpenState found them.
   std::mutex save_mutex_;
+  /// The tags of manifests there, as this process read or wrote them. Guarded by save_mutex_ once
+  /// the state is open.
+  std::map<std::string, std::string> known_;
   SavedFiles saved_;  // Guarded by save_mutex_ once the state is open.
   std::mutex mutex_;
   std::map<std::string, std::uint64_t>

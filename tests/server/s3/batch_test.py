@@ -194,6 +194,35 @@ class FromBucketToBucket(BatchTest):
         self.assertEqual(self.outputs_in_bucket()['plain/3.off.drc'],
                          self.outputs['plain/6.off.drc'])
 
+    def test_another_shares_manifest_is_not_replaced_by_the_copy_that_was_read(self):
+        whole = 's3://models', 's3://outputs/run'
+        done = self.start(*whole, '--share', '0/2', home='first')
+        done.communicate(timeout=600)
+        key = 'outputs', 'run/manifest-0-of-2.jsonl'
+        grown = self.store.backend.objects[key][0] + b'{"path": "the other goes on"\n'
+
+        def grow(handler, request):  # While the second one runs.
+            self.put(*key, grown)
+            return self.store.backend.handle(request)
+        self.store.fail(lambda r: r.method == 'PUT' and '.drc' in r.target, grow)
+        second = self.start(*whole, '--share', '1/2', home='second')
+        out, err = second.communicate(timeout=600)
+        self.assertIn(second.returncode, (0, 1), (out, err))
+        self.assertEqual(self.store.backend.objects[key][0], grown)
+        self.assertIn(('outputs', 'run/manifest-1-of-2.jsonl'), self.store.backend.objects)
+
+    def test_lines_of_a_process_that_went_on_meanwhile_are_not_replaced(self):
+        key = 'outputs', 'run/manifest.jsonl'
+
+        def other(handler, request):
+            self.put(*key, b'')
+            return self.store.backend.handle(request)
+        self.store.fail(lambda r: r.method == 'PUT' and '.drc' in r.target, other)
+        self.assertIn('another process has written it', self.batch(status=9))
+        self.assertEqual(self.store.backend.objects[key][0], b'')
+        self.batch()  # Takes what it had, and what is there.
+        self.assert_complete()
+
     def test_prune_removes_what_has_no_model_any_more(self):
         self.batch()
         self.put('outputs', 'run/mine.txt', b'not of the batch')
