@@ -220,17 +220,12 @@ void BatchService::ReadProgress(const std::string& id) {
 }
 
 void BatchService::End(const std::string& id, int status) {
+  if (GiveUpLost(id)) return;
   v1::Batch ended;
   {
     const std::lock_guard lock(mutex_);
     Entry& entry = entries_[id];
     ended = entry.batch;
-    if (entry.lost) {
-      entry.claimed.reset();
-      entry.revision = 0;  // The row's own counts from now on.
-      Log(LogLevel::kWarning, "batch_lost", {{"id", id}});
-      return;
-    }
     if (stopping_ && !entry.cancel && status > 1) {
       ended.set_state(v1::Batch::queued);  // The next process goes on.
     } else {
@@ -247,16 +242,23 @@ void BatchService::End(const std::string& id, int status) {
                                              LastLineOf(PathOf(id) + "/log")};
     *ended.mutable_error() = ToMessage(ProblemOf(error), "");
   }
-  // A state that is not kept shows after a restart, or at another process: the batch then finds
-  // that nothing is left to do.
+  Close(ended);
+}
+
+// A state that is not kept shows after a restart, or at another process: the batch then finds that
+// nothing is left to do.
+void BatchService::Close(const v1::Batch& ended) {
   while (true) {
     const auto saved = Save(ended);
-    if (saved || !IsDatabaseAway(saved.error()) || stopping_) break;
+    if (saved || !IsDatabaseAway(saved.error())) break;
     std::unique_lock lock(mutex_);
+    if (stopping_) break;
     changed_.wait_for(lock, kPatience / 5);
   }
-  Change(id, [&ended](v1::Batch& batch) { batch = ended; });
-  Log(LogLevel::kInfo, "batch", {{"id", id}, {"state", v1::Batch::State_Name(ended.state())}});
+  if (GiveUpLost(ended.id())) return;
+  Change(ended.id(), [&ended](v1::Batch& batch) { batch = ended; });
+  Log(LogLevel::kInfo, "batch",
+      {{"id", ended.id()}, {"state", v1::Batch::State_Name(ended.state())}});
 }
 
 void BatchService::RemoveOld() {

@@ -99,6 +99,8 @@ class BatchService {
   Answer<void> Refresh(const std::string& id);
   void Show(const BatchRow& row);
   void Lose(const std::string& id);
+  bool GiveUpLost(const std::string& id);
+  void Close(const v1::Batch& ended);
   Answer<v1::ListBatchesResponse> ListShared(std::size_t size, const std::string& after);
   std::string Claim();
   Result<void> SaveShared(const v1::Batch& batch);

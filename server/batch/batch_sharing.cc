@@ -7,6 +7,7 @@
 #include "server/batch/batch_service.h"
 #include "server/batch/manifest.h"
 #include "server/service/canonical_options.h"
+#include "server/service/log.h"
 #include "server/store/file.h"
 #include "server/store/page_token.h"
 
@@ -54,6 +55,19 @@ void BatchService::Show(const BatchRow& row) {
 void BatchService::Lose(const std::string& id) {
   const std::lock_guard lock(mutex_);
   entries_[id].lost = true;
+}
+
+// Whether it was another's by now. From then on its row is what is shown here.
+bool BatchService::GiveUpLost(const std::string& id) {
+  {
+    const std::lock_guard lock(mutex_);
+    const auto found = entries_.find(id);
+    if (found == entries_.end() || !found->second.lost) return false;
+    found->second.claimed.reset();
+    found->second.revision = 0;
+  }
+  Log(LogLevel::kWarning, "batch_lost", {{"id", id}});
+  return true;
 }
 
 Answer<void> BatchService::Refresh(const std::string& id) {
@@ -124,7 +138,7 @@ std::string BatchService::Claim() {
   *batch.mutable_error() = ToMessage(ProblemOf(error), "");
   batch.set_state(v1::Batch::failed);
   *batch.mutable_ended() = Now();
-  static_cast<void>(SaveShared(batch));  // Where this fails it is claimed again.
+  Close(batch);
   return {};
 }
 
@@ -202,17 +216,18 @@ Answer<Content> BatchService::OpenObject(const std::string& id, const std::strin
                                          const std::string& media_type) {
   ObjectPlace& place = *store_.blobs().bucket().place;
   const std::string name = "batches/" + id + '/' + path;
-  const auto size = place.Find(name);
-  if (!size) return Refuse(size.error());
-  if (!*size) return Refuse(Error{ErrorCode::kNotFound, path + ": not found"});
+  // Of one version: a manifest is replaced now and then while its batch runs.
+  const auto found = place.FindVersion(name);
+  if (!found) return Refuse(found.error());
+  if (!*found) return Refuse(Error{ErrorCode::kNotFound, path + ": not found"});
   Content content;
   content.media_type = media_type;
-  const auto reader =
-      std::make_shared<ObjectReader>(place, ObjectReader::Object{name, {}, **size}, [] {});
+  const auto reader = std::make_shared<ObjectReader>(
+      place, ObjectReader::Object{name, {}, (*found)->size, (*found)->tag}, [] {});
   content.read = [reader](std::uint64_t offset, std::span<char> out) {
     return reader->ReadAt(offset, out);
   };
-  content.size = **size;
+  content.size = (*found)->size;
   if (path != "manifest.jsonl") return content;
   const auto end = EndOfLines(content.read, content.size);
   if (!end) return Refuse(end.error());

@@ -66,9 +66,10 @@ class S3Client {
   /// checked against the size, and the MD5 where the ETag is one. Errors: also kOverBudget (larger
   /// than `max_bytes`: nothing is fetched).
   Result<S3Object> GetToFile(const S3Name& name, int fd, std::uint64_t max_bytes = UINT64_MAX);
-  /// Fills `out` from byte `offset` of the object. Errors: also kUnsupported (a store without
-  /// ranges).
-  Result<void> ReadAt(const S3Name& name, std::uint64_t offset, std::span<char> out);
+  /// Fills `out` from byte `offset` of the object; with an `etag`, of the version that bears it.
+  /// Errors: also kUnsupported (a store without ranges), kConflict (another version is there now).
+  Result<void> ReadAt(const S3Name& name, std::uint64_t offset, std::span<char> out,
+                      const std::string& etag = {});
   /// The same, of a small object, into memory.
   Result<std::string> Get(const S3Name& name, std::uint64_t max_bytes);
 

@@ -206,16 +206,23 @@ Result<S3Object> S3Client::GetToFile(const S3Name& name, int fd, std::uint64_t m
   return S3Fetch(*this, name, fd, nullptr, max_bytes).Run();
 }
 
-Result<void> S3Client::ReadAt(const S3Name& name, std::uint64_t offset, std::span<char> out) {
+Result<void> S3Client::ReadAt(const S3Name& name, std::uint64_t offset, std::span<char> out,
+                              const std::string& etag) {
   if (out.empty()) return {};
   std::size_t done = 0;
   std::string refused;
+  bool replaced = false;
   Call call;
   call.name = name;
   call.headers = {"range: bytes=" + std::to_string(offset) + '-' +
                   std::to_string(offset + out.size() - 1)};
+  if (!etag.empty()) call.headers.push_back("if-match: \"" + etag + '"');
   call.begin = [&](int status, const auto& headers) {
     done = 0;
+    // Not every store minds If-Match.
+    const auto tag = headers.find("etag");
+    replaced = !etag.empty() && tag != headers.end() && WithoutQuotes(tag->second) != etag;
+    if (replaced) return false;
     const auto found = headers.find("content-range");
     const auto range =
         found != headers.end() ? ParseContentRange(found->second) : std::optional<ContentRange>();
@@ -232,7 +239,12 @@ Result<void> S3Client::ReadAt(const S3Name& name, std::uint64_t offset, std::spa
     done += bytes.size();
     return true;
   };
-  const Result<HttpAnswer> answer = Perform(call);
+  std::string code;
+  const Result<HttpAnswer> answer = Perform(call, &code);
+  // 416: the version that is there is shorter, too.
+  if (replaced || (!etag.empty() && (code == "PreconditionFailed" || code == "InvalidRange"))) {
+    return Fail(ErrorCode::kConflict, name.Shown() + ": was replaced while it was read");
+  }
   if (!refused.empty()) return Fail(ErrorCode::kIo, name.Shown() + ": " + refused);
   if (!answer) return Forward(answer);
   if (done == out.size()) return {};

@@ -1,5 +1,6 @@
 #include "server/service/bucket_place.h"
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <mutex>
@@ -14,7 +15,8 @@ namespace {
 using SteadyClock = std::chrono::steady_clock;
 constexpr std::chrono::seconds kAskEvery{1};  // While it is away.
 constexpr std::chrono::seconds kFreshFor{2};  // An answer says that long that it is there.
-constexpr const char* kProbe = "store-id";    // The mark of the store, which is there.
+constexpr int kProbeAttempts = 2, kProbeStallSeconds = 5;
+constexpr const char* kProbe = "store-id";  // The mark of the store, which is there.
 
 class BucketPlace final : public ObjectPlace {
  public:
@@ -22,7 +24,8 @@ class BucketPlace final : public ObjectPlace {
       : prefix_(std::move(prefix)),
         journal_(std::move(journal)),
         client_(
-            config, [] { return Meanwhile::Gone(); }, journal_.get()) {}
+            config, [] { return Meanwhile::Gone(); }, journal_.get()),
+        probe_(OfProbes(config), [] { return Meanwhile::Gone(); }) {}
 
   /// Nothing that fails here is lost: the next process finds it in the journal again.
   void AbortLeftovers() { static_cast<void>(journal_->AbortLeftovers(client_)); }
@@ -38,19 +41,24 @@ class BucketPlace final : public ObjectPlace {
     if (auto open = Gate(); !open) return open;
     return AsVoid(Heard(client_.Put(NameOf(name), text)));
   }
-  Result<std::optional<std::uint64_t>> Find(const std::string& name) override {
+  Result<std::optional<Version>> FindVersion(const std::string& name) override {
     if (auto open = Gate(); !open) return Forward(open);
     const auto found = Heard(client_.Find(NameOf(name)));
     if (!found) return Forward(found);
-    return *found ? std::optional((*found)->size) : std::optional<std::uint64_t>();
+    return *found ? std::optional(Version{(*found)->size, (*found)->etag})
+                  : std::optional<Version>();
   }
   Result<void> Fetch(const std::string& name, int fd, std::uint64_t max_bytes) override {
     if (auto open = Gate(); !open) return open;
     return AsVoid(OfObject(name, client_.GetToFile(NameOf(name), fd, max_bytes)));
   }
-  Result<void> Read(const std::string& name, std::uint64_t offset, std::span<char> out) override {
+  Result<void> Read(const std::string& name, std::uint64_t offset, std::span<char> out,
+                    const std::string& tag) override {
     if (auto open = Gate(); !open) return open;
-    return OfObject(name, client_.ReadAt(NameOf(name), offset, out));
+    auto read = client_.ReadAt(NameOf(name), offset, out, tag);
+    // What was replaced is no sign of a bucket that is away.
+    if (!read && !tag.empty() && read.error().code == ErrorCode::kConflict) return read;
+    return OfObject(name, std::move(read));
   }
   Result<void> Delete(const std::string& name) override {
     if (auto open = Gate(); !open) return open;
@@ -115,9 +123,16 @@ class BucketPlace final : public ObjectPlace {
     return asked;
   }
 
+  /// Whoever probes waits for seconds, not for as long as a transfer may stall again and again.
+  static S3Config OfProbes(S3Config config) {
+    config.max_attempts = std::min(config.max_attempts, kProbeAttempts);
+    config.stall_seconds = std::min(config.stall_seconds, kProbeStallSeconds);
+    return config;
+  }
+
   /// Of a bucket that is not there HEAD says the same as of a missing object.
   Result<void> Ask() {
-    auto found = client_.Find(NameOf(kProbe));
+    auto found = probe_.Find(NameOf(kProbe));
     if (found && !*found) {
       return Heard(Result<void>(Fail(ErrorCode::kIo, Shown(kProbe) + ": is not there any more")));
     }
@@ -152,7 +167,7 @@ class BucketPlace final : public ObjectPlace {
 
   const S3Name prefix_;
   const std::unique_ptr<UploadJournal> journal_;
-  S3Client client_;
+  S3Client client_, probe_;
   std::atomic<bool> away_{false};
   std::mutex mutex_;  // Guards all below.
   bool asking_ = false;

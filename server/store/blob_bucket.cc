@@ -109,7 +109,9 @@ Result<void> BlobStore::AbortUnfinished(const std::set<std::string, std::less<>>
 
 void BlobStore::Undo(const std::string& object) {
   const Meanwhile whoever_waits({});
-  (void)bucket_.place->Delete(object);
+  if (bucket_.place->Delete(object)) return;
+  auto session = database_.WriteRows();  // SweepGarbage tries again.
+  if (session && Doom(*session, object)) (void)session->Commit();
 }
 
 Result<BlobPin> BlobStore::AdoptInBucket(const Adoption& file, DiskShare& share) {
@@ -193,8 +195,8 @@ Result<BlobReader> BlobStore::OpenInBucket(const std::string& hash, bool as_file
     touched = now;
     (void)Touch(hash, 0);
   };
-  reader.object = std::make_shared<ObjectReader>(*bucket_.place,
-                                                 ObjectReader::Object{object, hash, size}, keep);
+  reader.object = std::make_shared<ObjectReader>(
+      *bucket_.place, ObjectReader::Object{object, hash, size, {}}, keep);
   return reader;
 }
 

@@ -188,8 +188,9 @@ class BlobStore {
   /// Deletes from the bucket what is due. Errors: those of the bucket; the rest stays due.
   Result<void> SweepGarbage();
   const BlobBucket& bucket() const { return bucket_; }
-  /// Deletes an object that no row will ever name, also when nobody waits for it any more; what is
-  /// left is a leftover once this process is gone.
+  /// Deletes an object that no row will ever name, also when nobody waits for it any more. If the
+  /// bucket is away it is due for SweepGarbage; if the database is, too, it is a leftover once this
+  /// process is gone.
   void Undo(const std::string& object);
   /// In a shared store: counts anew what is on the disk, for the budgets. Errors: kIo.
   Result<void> CountBytes();

@@ -37,7 +37,7 @@ Result<std::string> MarkOf(ObjectPlace& place) {
   if (!*size) return std::string();
   if (**size > kMostMarkBytes) return std::string("something else");
   std::string mark(static_cast<std::size_t>(**size), 0);
-  if (auto read = place.Read(kMark, 0, mark); !read) return Forward(read);
+  if (auto read = place.Read(kMark, 0, mark, {}); !read) return Forward(read);
   return mark;
 }
 

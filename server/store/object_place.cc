@@ -11,6 +11,12 @@ thread_local Meanwhile* innermost = nullptr;
 
 }  // namespace
 
+Result<std::optional<std::uint64_t>> ObjectPlace::Find(const std::string& name) {
+  const auto found = FindVersion(name);
+  if (!found) return Forward(found);
+  return *found ? std::optional((*found)->size) : std::optional<std::uint64_t>();
+}
+
 bool IsBucketAway(const Error& error) {
   return error.code == ErrorCode::kIo && error.message.starts_with(kBucketAway);
 }

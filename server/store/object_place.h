@@ -32,13 +32,21 @@ class ObjectPlace {
   virtual Result<void> Put(const std::string& name, int fd, std::uint64_t offset,
                            std::uint64_t size) = 0;
   virtual Result<void> PutText(const std::string& name, std::string_view text) = 0;
-  /// The object's size; nothing if there is none.
-  virtual Result<std::optional<std::uint64_t>> Find(const std::string& name) = 0;
+  struct Version {
+    std::uint64_t size = 0;
+    std::string tag;  ///< Another one for another content.
+  };
+  /// Nothing if there is no such object.
+  virtual Result<std::optional<Version>> FindVersion(const std::string& name) = 0;
+  /// Its size alone.
+  Result<std::optional<std::uint64_t>> Find(const std::string& name);
   /// Writes the object to the empty file `fd`. Errors: also kNotFound, kOverBudget (larger than
   /// `max_bytes`), kCancelled.
   virtual Result<void> Fetch(const std::string& name, int fd, std::uint64_t max_bytes) = 0;
-  /// Fills `out` from byte `offset`. Errors: also kNotFound.
-  virtual Result<void> Read(const std::string& name, std::uint64_t offset, std::span<char> out) = 0;
+  /// Fills `out` from byte `offset`; with a `tag`, of that version. Errors: also kNotFound,
+  /// kConflict (another version is there now).
+  virtual Result<void> Read(const std::string& name, std::uint64_t offset, std::span<char> out,
+                            const std::string& tag) = 0;
   /// What does not exist is deleted already.
   virtual Result<void> Delete(const std::string& name) = 0;
   virtual Result<void> List(

@@ -34,11 +34,12 @@ Result<void> ObjectReader::Load(std::uint64_t offset, std::size_t wanted) {
                                                      object_.size - offset);
   range_.resize(static_cast<std::size_t>(size));
   begin_ = offset;
-  auto read = place_.Read(object_.name, offset, range_);
+  auto read = place_.Read(object_.name, offset, range_, object_.tag);
   if (!read) {
     range_.clear();
-    if (read.error().code != ErrorCode::kNotFound) return read;
-    return Fail(ErrorCode::kIo, read.error().message);  // The row says that it is there.
+    const ErrorCode code = read.error().code;
+    if (code != ErrorCode::kNotFound && code != ErrorCode::kConflict) return read;
+    return Fail(ErrorCode::kIo, read.error().message);  // Who reads was told that it is there.
   }
   if (object_.hash.empty() || offset != hashed_) return {};
   hasher_.Update(range_);

@@ -23,13 +23,15 @@ class ObjectReader {
     std::string name;  ///< In `place`.
     std::string hash;  ///< SHA-256; empty: not known, and not checked.
     std::uint64_t size = 0;
+    std::string tag;  ///< Of an object that may be replaced: the version that is read.
   };
   /// `keep` is called before each range: it may see to it that the object stays. `place` outlives
   /// the reader.
   ObjectReader(ObjectPlace& place, Object object, std::function<void()> keep)
       : place_(place), object_(std::move(object)), keep_(std::move(keep)) {}
 
-  /// Fills `out` from byte `offset`. Errors: kIo (IsBucketAway; the end included; another content).
+  /// Fills `out` from byte `offset`. Errors: kIo (IsBucketAway; the end included; another content
+  /// or version).
   Result<void> ReadAt(std::uint64_t offset, std::span<char> out);
 
  private:

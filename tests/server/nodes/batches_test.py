@@ -3,6 +3,7 @@
 them, and one whose process is killed goes on elsewhere. Over a shared folder and over a bucket."""
 import hashlib
 import json
+import os
 import pathlib
 import signal
 import subprocess
@@ -163,6 +164,20 @@ class FolderTest(nodes_test.NodesCase):
                          before)
         self.assertEqual(self.batch(holder, id)['state'], 'succeeded')
 
+    def test_of_one_that_is_lost_at_its_very_end_the_row_is_shown(self):
+        self.put_models(2)
+        node = self.serve()
+        self.sql('CREATE FUNCTION lose() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN'
+                 ' RETURN NULL; END $$; CREATE TRIGGER lose BEFORE UPDATE ON strata.batches'
+                 ' FOR EACH ROW WHEN (NEW.state = 3) EXECUTE FUNCTION lose()')
+        id = self.create(node)
+        wait_until(lambda: node.events('batch_lost'), 'the node to notice')
+        # Another process ended it otherwise.
+        self.sql('DROP TRIGGER lose ON strata.batches; UPDATE strata.batches SET state = 3,'
+                 " holder = 'another', text = replace(text, 'running', 'cancelled'),"
+                 f" ended = 1 + created, revision = revision + 1 WHERE id = '{id}'")
+        self.assertEqual(self.batch(node, id)['state'], 'cancelled')
+
     def test_one_that_kills_its_nodes_fails_with_what_happened(self):
         self.put_models(3)
         node = self.serve('--max-attempts', '2')
@@ -177,6 +192,26 @@ class FolderTest(nodes_test.NodesCase):
 
 class BucketTest(FolderTest, bucket_test.BucketCase):
     """Outputs in the bucket, the folders of the nodes their own."""
+
+
+    def test_what_a_paused_node_had_does_not_replace_what_another_has(self):
+        self.put_models(120)
+        nodes = [self.serve() for _ in range(2)]
+        id = self.create(nodes[0])
+        holder = wait_until(lambda: self.holder(id), 'the batch to run')
+        other = next(node for node in nodes if node is not holder)
+        wait_until(lambda: int(self.batch(other, id).get('sampled', 0)) > 20, 'some to be sampled')
+        paused = [holder.process.pid, *map(int, holder.children())]
+        for pid in paused:
+            os.kill(pid, signal.SIGSTOP)
+        self.assertEqual(self.end_of(other, id)['state'], 'succeeded')
+        before = other.curl(f'/v1/batches/{id}/manifest').body
+        self.assertEqual(before.count(b'\n'), 120)
+        for pid in reversed(paused):
+            os.kill(pid, signal.SIGCONT)
+        wait_until(lambda: holder.events('batch_lost'), 'the sleeper to notice')
+        for node in nodes:
+            self.assertEqual(node.curl(f'/v1/batches/{id}/manifest').body, before)
 
 
 # The cases of FolderTest hold here; those of a bucket's stores have their own file.

@@ -36,14 +36,17 @@ class Blocked:
     """Holds back what the store does with one request until it is let go."""
 
     def __init__(self, store, takes, before=True):
-        self.came, self.go, self.before = threading.Event(), threading.Event(), before
+        self.came, self.go, self.done = (threading.Event() for _ in range(3))
+        self.before = before
         store.fail(takes, self.act)
 
     def act(self, handler, request):
         answer = None if self.before else handler.server.store.answer(request)
         self.came.set()
         self.go.wait(120)
-        return answer or handler.server.store.answer(request)
+        answer = answer or handler.server.store.answer(request)
+        self.done.set()
+        return answer
 
     def wait(self):
         assert self.came.wait(60), 'the request never came'
@@ -233,6 +236,7 @@ class SharedTest(BucketCase):
         self.assertCommandsBytes(server, id, 80, seed)
         before = self.sql(f"SELECT sequence, result_blob FROM strata.jobs WHERE id = '{id}'")
         block.go.set()
+        assert block.done.wait(60), 'what it puts never came about'
         return worker, id, before
 
     def test_a_node_that_is_killed_while_it_puts_a_result_loses_no_job(self):
@@ -242,7 +246,6 @@ class SharedTest(BucketCase):
 
     def test_a_paused_node_that_wakes_after_its_lease_commits_nothing(self):
         worker, id, before = self.end_while_it_commits(signal.SIGSTOP)
-        wait_until(lambda: self.objects() - self.named(), 'what it had put to come about')
         worker.process.send_signal(signal.SIGCONT)
         wait_until(lambda: worker.events('lease_lost') or worker.events('job_not_ended'),
                    'the sleeper to notice')
@@ -274,6 +277,49 @@ class SharedTest(BucketCase):
         self.assertEqual(self.ended(server, later)['state'], 'succeeded')
         self.assertEqual(self.put(server, 'other.obj', CUBE).status, 201)
         self.await_no_leftovers()
+
+    def test_what_a_failed_append_left_is_no_part_of_the_model(self):
+        server = self.serve()
+        mesh = mesh_of(30_000)
+        made = server.curl('/v1/uploads', '-X', 'POST', '-H', 'Tus-Resumable: 1.0.0', '-H',
+                           'Upload-Defer-Length: 1', '-H', 'Upload-Metadata: name bWVzaC5vYmo=')
+        where = made.headers['location']
+        self.assertEqual(self.patch(server, where, 0, mesh[:20_000]).status, 204)
+        self.store.fail(lambda r: True, s3.slow_down(), times=1 << 30)
+        self.assertEqual(self.patch(server, where, 20_000, mesh[20_000:]).status, 503)
+        self.store.forget()
+        wait_until(lambda: server.curl('/readyz').status == 200, 'the node to be ready')
+        self.assertEqual(self.offset(server, where), 20_000)
+        done = self.patch(server, where, 20_000, b'', '-H', 'Upload-Length: 20000')
+        self.assertIn(done.status, (204, 409), done.body)  # 409: whole already.
+        hash = hashlib.sha256(mesh[:20_000]).hexdigest()
+        self.assertEqual(server.curl('/v1/models/mesh.obj').json()['sha256'], hash)
+        for copy in pathlib.Path(self.folder.name).glob(f'*/cache/{hash}'):
+            self.assertEqual(copy.stat().st_size, 20_000)
+        self.await_no_leftovers()
+
+    def test_who_lost_an_upload_does_not_delete_its_pieces(self):
+        server = self.serve()
+        mesh = mesh_of(30_000)
+        where = self.create_upload(server, mesh)
+        self.assertEqual(self.patch(server, where, 0, mesh[:20_000]).status, 204)
+        upload = where.rsplit('/', 1)[1]
+        with nodes_test.HeldBack(self.database) as held:
+            answers = []
+            client = threading.Thread(target=lambda: answers.append(
+                server.curl(where, '-X', 'DELETE', '-H', 'Tus-Resumable: 1.0.0')))
+            client.start()
+            wait_until(lambda: self.sql("SELECT 1 FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
+                                        f" AND EXISTS (SELECT 1 FROM strata.uploads WHERE id = '{upload}'"
+                                        " AND holder <> '')"), 'it to be about to delete')
+            # As if its lease had run out, and another had taken over.
+            self.sql(f"UPDATE strata.uploads SET holder = 'another' WHERE id = '{upload}'")
+            held.let_go()
+            client.join()
+        self.assertEqual(answers[0].status, 409, answers[0].body)
+        self.assertEqual(self.sql('SELECT "offset", size FROM strata.upload_pieces'), [['0', '20000']])
+        self.assertEqual(self.patch(server, where, 20_000, mesh[20_000:]).status, 204)
+        self.assertEqual(server.curl('/v1/models/mesh.obj?content').body, mesh)
 
     def test_no_secret_is_told_or_handed_on(self):
         server = self.serve()
@@ -363,6 +409,62 @@ class SingleTest(BucketCase):
         self.assertEqual(server.curl('/v1/models/mesh.obj?content').body, mesh)
         self.assertEqual(server.curl('/v1/models/mesh.obj', '-X', 'DELETE').status, 204)
         wait_until(lambda: self.objects() == self.rows(), 'the deleted model to be deleted')
+
+    def test_a_bucket_that_is_silent_is_told_within_seconds_and_holds_up_no_health_probe(self):
+        server = self.single('--blob-cache', '150K')
+        self.put(server, 'cube.obj', CUBE)
+        silent = threading.Event()
+        self.addCleanup(silent.set)
+
+        def wait(handler, request):
+            silent.wait(120)
+            return handler.server.store.answer(request)
+        self.store.fail(lambda r: True, wait, times=1 << 30)
+        wait_until(lambda: server.curl('/readyz', '--max-time', '20').status == 503,
+                   'the node not to be ready')
+        self.assertEqual(server.curl('/livez', '--max-time', '5').status, 200)
+        refused = server.curl('/v1/models/other.obj', '-X', 'PUT', body=b'# other\n' + CUBE)
+        self.assertEqual(refused.status, 503, refused.body)
+        self.store.forget()
+        silent.set()
+        wait_until(lambda: server.curl('/readyz').status == 200, 'the node to be ready')
+
+    def test_a_result_that_the_bucket_is_slow_to_tell_of_holds_up_no_other(self):
+        server = self.single()
+        self.put(server, 'cube.obj', CUBE)
+        query = '/v1/samples?model=cube.obj&format=xyz&resolution='
+        wanted = server.curl(query + '8').body
+        self.assertEqual(server.stop(), 0)
+        for copy in (self.data / 'cache').iterdir():
+            copy.unlink()
+        server = self.single()
+        hash = hashlib.sha256(wanted).hexdigest()
+        block = self.blocked(lambda r: r.method == 'HEAD' and hash[2:] in r.target)
+        answers = []
+        client = threading.Thread(target=lambda: answers.append(server.curl(query + '8')))
+        client.start()
+        block.wait()
+        other = server.curl(query + '9', '--max-time', '20')
+        self.assertEqual(other.status, 200, other.body)
+        block.go.set()
+        client.join()
+        self.assertEqual(answers[0].body, wanted)
+
+    def test_an_object_that_could_not_be_deleted_at_once_is_deleted_later(self):
+        server = self.single()
+        # It is put, and the answer is lost; then nothing is answered for a while.
+        def put_and_lose(handler, request):
+            handler.server.store.answer(request)
+            self.store.fail(lambda r: True, s3.slow_down(), times=1 << 30)
+            return s3.refusal(403, 'AccessDenied')
+        self.store.fail(lambda r: r.method == 'PUT', put_and_lose)
+        answer = server.curl('/v1/models/cube.obj', '-X', 'PUT', body=CUBE)
+        self.assertEqual(answer.status, 503, answer.body)
+        self.assertEqual(len(self.objects() - self.rows()), 1)
+        self.store.forget()
+        wait_until(lambda: self.objects() == self.rows(), 'what no row names to be deleted')
+        self.put(server, 'cube.obj', CUBE)
+        self.assertEqual(self.objects(), self.rows())
 
     def test_copies_stay_within_their_limit_and_wrong_ones_are_not_used(self):
         server = self.single('--blob-cache', '150K')

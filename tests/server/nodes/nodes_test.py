@@ -43,6 +43,33 @@ class Worker(harness.Logged):
         return status
 
 
+class HeldBack:
+    """Keeps the lock of all writers, as one that was paused in the middle would."""
+
+    def __init__(self, database, before=''):
+        self.session = subprocess.Popen(
+            ['psql', '-X', '-q', '-h', str(POSTGRES.folder), '-p', str(POSTGRES.port), '-U', 'strata',
+             '-d', database], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, text=True)
+        self.session.stdin.write(f"{before} BEGIN; SELECT pg_advisory_xact_lock({0x5374},"
+                                 " hashtext('strata')); SELECT 'held';\n")
+        self.session.stdin.flush()
+        while 'held' not in self.session.stdout.readline():
+            pass
+
+    def let_go(self):
+        self.session.kill()
+        self.session.wait()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.let_go()
+        self.session.stdout.close()
+        self.session.stdin.close()
+
+
 class Relay:
     """Connections to PostgreSQL, which the test may cut: those there are, and all that come."""
 
@@ -380,24 +407,9 @@ class FaultsTest(NodesCase):
     def test_a_process_that_idles_in_a_transaction_holds_nobody_up(self):
         server = self.serve('--jobs', '1')
         self.ended(server, self.post(server, 30))
-        # The lock of all writers, as one that was paused in the middle would keep it.
-        schema = 'strata'
-        held = subprocess.Popen(
-            ['psql', '-X', '-q', '-h', str(POSTGRES.folder), '-p', str(POSTGRES.port), '-U', 'strata',
-             '-d', self.database], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL, text=True)
-        self.addCleanup(held.stdout.close)
-        held.stdin.write("SET idle_in_transaction_session_timeout = '8s'; BEGIN;"
-                         f" SELECT pg_advisory_xact_lock({0x5374}, hashtext('{schema}'));"
-                         " SELECT 'held';\n")
-        held.stdin.flush()
-        while 'held' not in held.stdout.readline():
-            pass
-        id = self.post(server, 31)  # Waits until the database has ended that session.
-        self.assertEqual(self.ended(server, id)['state'], 'succeeded')
-        held.kill()
-        held.wait()
-        held.stdin.close()
+        with HeldBack(self.database, "SET idle_in_transaction_session_timeout = '8s';"):
+            id = self.post(server, 31)  # Waits until the database has ended that session.
+            self.assertEqual(self.ended(server, id)['state'], 'succeeded')
 
     def test_only_the_databases_clock_counts(self):
         clock = pathlib.Path(harness.strata()).parent.parent / 'tests/support/libskewed_clock.so'

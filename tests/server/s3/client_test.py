@@ -87,6 +87,30 @@ class ClientTest(unittest.TestCase):
         return target.read_bytes()
 
 
+class Ranges(ClientTest):
+    def test_are_of_one_version_where_one_is_named(self):
+        self.put('key', b'0123456789')
+        read = ('read', 's3://bucket/key', 3, 4)
+        tag = self.objects['bucket', 'key'][1]
+        self.assertEqual(self.tool(*read), '3456')
+        self.assertEqual(self.tool(*read, tag), '3456')
+        self.put('key', b'abcdefghij')
+        self.assertEqual(self.tool(*read), 'defg')
+        self.assertIn('was replaced while it was read', self.refused(9, *read, tag))
+        self.put('key', b'ab')
+        self.assertIn('was replaced while it was read', self.refused(9, *read, tag))
+
+    def test_are_of_one_version_of_a_store_that_does_not_mind_if_match(self):
+        self.put('key', b'abcdefghij')
+
+        def careless(handler, request):
+            request.headers.pop('if-match')
+            return self.store.backend.handle(request)
+        self.store.fail(lambda r: r.method == 'GET', careless)
+        self.assertIn('was replaced while it was read',
+                      self.refused(9, 'read', 's3://bucket/key', 3, 4, 32 * '0'))
+
+
 class Signature(ClientTest):
     def test_the_oracle_reproduces_the_published_examples(self):
         self.assertEqual(signature.published_examples_hold(), [True] * 4)

@@ -64,6 +64,13 @@ Result<void> Run(const Arguments& arguments) {
     Print(*object);
     return {};
   }
+  if (operation == "read") {  // URL OFFSET COUNT [ETAG]
+    std::string bytes(std::stoull(arguments.at(3)), 0);
+    const std::string etag = arguments.size() > 4 ? arguments[4] : "";
+    auto read = client.ReadAt(*name, std::stoull(arguments.at(2)), bytes, etag);
+    if (read) std::fwrite(bytes.data(), 1, bytes.size(), stdout);
+    return read;
+  }
   if (operation.starts_with("head")) {
     const Result<S3Object> object = client.Head(*name);
     if (!object) return Forward(object);
