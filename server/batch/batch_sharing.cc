@@ -37,7 +37,9 @@ void BatchService::Show(const BatchRow& row) {
   const std::lock_guard lock(mutex_);
   Entry& entry = entries_[row.id];
   if (entry.claimed) {
-    // What runs here is told here; the row tells of wishes, and whose it is.
+    // What runs here is told here; the row tells of wishes, and whose it is. One that was read
+    // before this process claimed it tells nothing.
+    if (row.revision < entry.claimed->revision) return;
     entry.cancel = entry.cancel || row.cancel;
     entry.lost = entry.lost || row.holder != entry.claimed->holder ||
                  row.attempts != entry.claimed->attempts || row.state != BatchState::kRunning;

@@ -66,7 +66,7 @@ Result<std::optional<BatchRow>> BatchRows::Claim() {
   static const std::string kClaim =
       "UPDATE batches SET state = 2, holder = ?1, attempts = attempts + 1, revision = revision + 1"
       " WHERE id = (SELECT id FROM batches WHERE state = 1 OR (state = 2 AND NOT EXISTS"
-      "   (SELECT 1 FROM processes WHERE processes.id = batches.holder))"
+      "   (SELECT 1 FROM processes WHERE processes.id = batches.holder AND processes.id <> ?1))"
       "   ORDER BY created, id LIMIT 1 FOR UPDATE SKIP LOCKED)"
       " AND EXISTS (SELECT 1 FROM processes WHERE processes.id = ?1) RETURNING " +
       kColumns;

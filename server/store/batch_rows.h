@@ -46,7 +46,9 @@ class BatchRows {
     std::string id;
   };
   Result<std::vector<BatchRow>> List(const std::optional<Place>& before, std::size_t count);
-  /// The oldest that waits, or whose process is dead, is this process's from now on.
+  /// The oldest that waits, or whose process is dead, is this process's from now on; also one that
+  /// names this process already, which gave it up when the database was away. To be called while it
+  /// runs none.
   Result<std::optional<BatchRow>> Claim();
   struct Update {
     BatchState state = BatchState::kRunning;

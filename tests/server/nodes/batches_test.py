@@ -178,6 +178,18 @@ class FolderTest(nodes_test.NodesCase):
                  f" ended = 1 + created, revision = revision + 1 WHERE id = '{id}'")
         self.assertEqual(self.batch(node, id)['state'], 'cancelled')
 
+    def test_one_that_its_living_node_gave_up_is_taken_up_again(self):
+        self.put_models(3)
+        node = self.serve()
+        id = self.create(node)
+        self.end_of(node, id)
+        # As it is left where the database was away for longer than the lease, and nobody else there.
+        self.sql('UPDATE strata.batches SET state = 2, ended = NULL, revision = revision + 1,'
+                 f" holder = (SELECT id FROM strata.processes) WHERE id = '{id}'")
+        ended = self.end_of(node, id)
+        self.assertEqual((ended['state'], int(ended['unchanged'])), ('succeeded', 3), ended)
+        self.assertEqual(self.sql('SELECT state, attempts FROM strata.batches'), [['3', '2']])
+
     def test_one_that_kills_its_nodes_fails_with_what_happened(self):
         self.put_models(3)
         node = self.serve('--max-attempts', '2')
