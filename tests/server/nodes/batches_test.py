@@ -176,7 +176,7 @@ class FolderTest(nodes_test.NodesCase):
         self.sql('DROP TRIGGER lose ON strata.batches; UPDATE strata.batches SET state = 3,'
                  " holder = 'another', text = replace(text, 'running', 'cancelled'),"
                  f" ended = 1 + created, revision = revision + 1 WHERE id = '{id}'")
-        self.assertEqual(self.batch(node, id)['state'], 'cancelled')
+        wait_until(lambda: self.batch(node, id)['state'] == 'cancelled', 'the node to show it')
 
     def test_one_that_its_living_node_gave_up_is_taken_up_again(self):
         self.put_models(3)
