@@ -237,6 +237,11 @@ def make_keys(folder):
     return full, read, path
 
 
+def writes_vdb():
+    """Whether strata-vdb lies beside the program: builds with sanitizers are without it."""
+    return pathlib.Path(strata()).with_name('strata-vdb').exists()
+
+
 def sample_by_command(mesh, suffix, *options):
     """What `strata sample` writes."""
     with tempfile.TemporaryDirectory() as folder:
