@@ -134,20 +134,24 @@ class Repository(BatchTest):
         self.batch(*QUICK, status=1)
         self.assertEqual(manifest(self.out)['nowhere.off']['status'], 'sampled', 'now it leads to a file')
 
-    def test_a_folder_that_may_not_be_opened_is_one_failure(self):
+    def as_nobody(self):
+        """Gives the outputs to another user; what runs a command as that user."""
         if os.getuid() != 0:
             self.skipTest('needs root, to give a folder to another user')
-        self.put('good.off')
-        self.put('locked/x.off')
-        self.put('locked.off')
-        for path in ('locked', 'locked.off'):
-            (self.repo / path).chmod(0)
         self.path.chmod(0o755)
         self.out.mkdir()
         os.chown(self.out, NOBODY, NOBODY)
         if subprocess.run(command('--version'), user=NOBODY, capture_output=True).returncode != 0:
             self.skipTest('another user may not run the program')
-        nobody = {'user': NOBODY, 'group': NOBODY, 'extra_groups': []}
+        return {'user': NOBODY, 'group': NOBODY, 'extra_groups': []}
+
+    def test_a_folder_that_may_not_be_opened_is_one_failure(self):
+        nobody = self.as_nobody()
+        self.put('good.off')
+        self.put('locked/x.off')
+        self.put('locked.off')
+        for path in ('locked', 'locked.off'):
+            (self.repo / path).chmod(0)
         text = self.batch(*QUICK, '--prune', status=1, **nobody)
         lines = manifest(self.out)
         self.assertEqual(lines['good.off']['status'], 'sampled')
@@ -159,16 +163,9 @@ class Repository(BatchTest):
         self.assertIn('Permission denied', self.batch(*QUICK, status=8, **nobody))
 
     def test_what_may_not_be_seen_now_is_not_gone(self):
-        if os.getuid() != 0:
-            self.skipTest('needs root, to give a folder to another user')
+        nobody = self.as_nobody()
         self.put('good.off')
         self.put('locked/x.off')
-        self.path.chmod(0o755)
-        self.out.mkdir()
-        os.chown(self.out, NOBODY, NOBODY)
-        if subprocess.run(command('--version'), user=NOBODY, capture_output=True).returncode != 0:
-            self.skipTest('another user may not run the program')
-        nobody = {'user': NOBODY, 'group': NOBODY, 'extra_groups': []}
         self.batch(*QUICK, **nobody)
         before = outputs(self.out)
         (self.repo / 'locked').chmod(0)

@@ -10,7 +10,6 @@ import subprocess
 import tempfile
 
 import bucket_test
-import cluster
 import harness
 import nodes_test
 from harness import CUBE, wait_until
@@ -129,14 +128,19 @@ class FolderTest(nodes_test.NodesCase):
             self.ask(nodes[1], f'/v1/batches/{id}', '-X', 'DELETE')
             self.assertEqual(self.end_of(nodes[0], id)['state'], 'cancelled')
 
-    def interrupted(self, number):
-        """A batch whose node gets a signal in the middle; it must end elsewhere."""
+    def in_the_middle(self):
+        """A batch of 120 models of which some are sampled: the nodes, its id, who runs it, who not."""
         self.put_models(120)
         nodes = [self.serve() for _ in range(2)]
         id = self.create(nodes[0])
         holder = wait_until(lambda: self.holder(id), 'the batch to run')
         other = next(node for node in nodes if node is not holder)
         wait_until(lambda: int(self.batch(other, id).get('sampled', 0)) > 20, 'some to be sampled')
+        return nodes, id, holder, other
+
+    def interrupted(self, number):
+        """A batch whose node gets a signal in the middle; it must end elsewhere."""
+        nodes, id, holder, other = self.in_the_middle()
         if number == signal.SIGKILL:
             holder.process.kill()
         else:
@@ -207,12 +211,7 @@ class BucketTest(FolderTest, bucket_test.BucketCase):
 
 
     def test_what_a_paused_node_had_does_not_replace_what_another_has(self):
-        self.put_models(120)
-        nodes = [self.serve() for _ in range(2)]
-        id = self.create(nodes[0])
-        holder = wait_until(lambda: self.holder(id), 'the batch to run')
-        other = next(node for node in nodes if node is not holder)
-        wait_until(lambda: int(self.batch(other, id).get('sampled', 0)) > 20, 'some to be sampled')
+        nodes, id, holder, other = self.in_the_middle()
         paused = [holder.process.pid, *map(int, holder.children())]
         for pid in paused:
             os.kill(pid, signal.SIGSTOP)
@@ -227,14 +226,5 @@ class BucketTest(FolderTest, bucket_test.BucketCase):
 
 
 # The cases of FolderTest hold here; those of a bucket's stores have their own file.
-def main():
-    cluster.skip_without_postgres()
-    nodes_test.POSTGRES = cluster.Cluster()
-    try:
-        harness.main()
-    finally:
-        nodes_test.POSTGRES.stop()
-
-
 if __name__ == '__main__':
-    main()
+    nodes_test.main()

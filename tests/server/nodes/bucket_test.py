@@ -15,7 +15,6 @@ import unittest
 
 HERE = pathlib.Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent / 'serve'), str(HERE.parent / 's3')]
-import cluster  # noqa: E402
 import harness  # noqa: E402
 import nodes_test  # noqa: E402
 import store as s3  # noqa: E402
@@ -514,14 +513,5 @@ class SingleTest(BucketCase):
         self.assertEqual(done.returncode, 18, 'curl: the transfer ended early')
 
 
-def main():
-    cluster.skip_without_postgres()
-    nodes_test.POSTGRES = cluster.Cluster()
-    try:
-        harness.main()
-    finally:
-        nodes_test.POSTGRES.stop()
-
-
 if __name__ == '__main__':
-    main()
+    nodes_test.main()
