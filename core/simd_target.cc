@@ -2,17 +2,13 @@
 
 #include <hwy/highway.h>
 
-#include <cctype>
 #include <cstdint>
+
+#include "core/lower_case.h"
 
 namespace strata {
 
 namespace {
-std::string LowerCase(std::string_view text) {
-  std::string lower(text);
-  for (char& c : lower) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
-  return lower;
-}
 std::vector<std::int64_t> CompiledTargets() {
   std::vector<std::int64_t> targets;
   for (std::int64_t left = hwy::SupportedTargets() & HWY_TARGETS; left != 0; left &= left - 1) {

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <array>
 
-#include "io/lower_case.h"
+#include "core/lower_case.h"
 #include "io/quote.h"
 #include "io/stl_reader.h"
 

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <charconv>
 
-#include "io/lower_case.h"
+#include "core/lower_case.h"
 #include "server/service/wire_options.h"
 
 namespace strata::server {
@@ -51,7 +51,7 @@ double WeightFor(std::string_view accept, std::string_view type) {
   double weight = 0;
   while (!accept.empty()) {
     std::string_view entry = Cut(accept, ',');
-    const std::string range = io::LowerCase(Cut(entry, ';'));
+    const std::string range = LowerCase(Cut(entry, ';'));
     const int fit = Fit(range, type);
     if (fit <= best) continue;
     best = fit;

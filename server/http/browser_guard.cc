@@ -7,7 +7,7 @@
 #include <array>
 #include <optional>
 
-#include "io/lower_case.h"
+#include "core/lower_case.h"
 
 namespace strata::server {
 namespace {
@@ -28,7 +28,7 @@ std::optional<std::string> AddressOf(const std::string& text) {
 /// `host` in the form that two ways to write one host share.
 std::string Canonical(std::string_view host) {
   if (host.starts_with('[') && host.ends_with(']')) host = host.substr(1, host.size() - 2);
-  std::string lower = io::LowerCase(host);
+  std::string lower = LowerCase(host);
   if (auto address = AddressOf(lower)) return *std::move(address);
   if (lower.ends_with('.')) lower.pop_back();
   return lower;
@@ -47,7 +47,7 @@ std::string_view WithoutPort(std::string_view host) {
 /// Whether a page of `origin` ("http://localhost:8080", or "null") was served by `host`.
 bool IsSameHost(std::string_view origin, std::string_view host) {
   const std::size_t scheme = origin.find("://");
-  return scheme != origin.npos && io::LowerCase(origin.substr(scheme + 3)) == io::LowerCase(host);
+  return scheme != origin.npos && LowerCase(origin.substr(scheme + 3)) == LowerCase(host);
 }
 
 bool ChangesState(std::string_view method) {
@@ -89,7 +89,7 @@ Answer<void> BrowserGuard::Check(const Exchange& exchange) const {
     return Refuse(Refusal::kCrossSite,
                   "Origin: found '" + origin + "', expected a page of Host, '" + host + "'");
   }
-  if (io::LowerCase(exchange.header("Sec-Fetch-Site")) == "cross-site") {
+  if (LowerCase(exchange.header("Sec-Fetch-Site")) == "cross-site") {
     return Refuse(Refusal::kCrossSite, "Sec-Fetch-Site: found cross-site");
   }
   return {};

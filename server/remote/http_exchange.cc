@@ -8,9 +8,9 @@
 #include <cstdio>
 #include <cstring>
 
+#include "core/lower_case.h"
 #include "core/signal_shield.h"
 #include "core/version.h"
-#include "io/lower_case.h"
 
 namespace strata::server {
 namespace {
@@ -52,7 +52,7 @@ std::size_t OnHeader(char* bytes, std::size_t, std::size_t size, void* user) noe
   }
   const std::size_t colon = line.find(':');
   if (colon != std::string_view::npos && answer.headers.size() < kMaxHeaders) {
-    answer.headers[io::LowerCase(line.substr(0, colon))] = Trimmed(line.substr(colon + 1));
+    answer.headers[LowerCase(line.substr(0, colon))] = Trimmed(line.substr(colon + 1));
   }
   return size;
 } catch (...) {

@@ -4,7 +4,7 @@
 #include <string>
 #include <string_view>
 
-namespace strata::io {
+namespace strata {
 
 /// `text` with A to Z as a to z, whatever the locale; other bytes as they are.
 inline std::string LowerCase(std::string_view text) {
@@ -13,4 +13,4 @@ inline std::string LowerCase(std::string_view text) {
   return lower;
 }
 
-}  // namespace strata::io
+}  // namespace strata
