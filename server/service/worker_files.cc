@@ -11,6 +11,7 @@
 #include "core/memory_account.h"
 #include "io/sha256.h"
 #include "server/memory.h"
+#include "server/service/file_stamp.h"
 #include "server/store/file.h"
 
 namespace strata::server {
@@ -38,14 +39,8 @@ struct Hashed {
 };
 
 std::string StateOf(const struct stat& status) {
-  std::string text;
-  for (const auto part :
-       {static_cast<std::int64_t>(status.st_dev), static_cast<std::int64_t>(status.st_ino),
-        static_cast<std::int64_t>(status.st_size), static_cast<std::int64_t>(status.st_mtim.tv_sec),
-        static_cast<std::int64_t>(status.st_mtim.tv_nsec)}) {
-    text += std::to_string(part) + ' ';
-  }
-  return text;
+  return std::to_string(status.st_dev) + ' ' + std::to_string(status.st_size) + ' ' +
+         StampOf(status);
 }
 
 Result<Hashed> HashPath(const std::string& path, const std::string& name) {
