@@ -34,6 +34,22 @@ std::array<double, 2> CarryUv(const std::array<std::array<double, 2>, 3>& corner
   return uv;
 }
 
+Result<ImageFile> ReadImageFile(std::uint64_t size, std::uint64_t most, MemoryAccount* memory,
+                                const std::string& who,
+                                const std::function<Result<void>(std::span<char>)>& read) {
+  ImageFile file;
+  file.size = size;
+  const auto wanted = static_cast<std::size_t>(std::min(most, size));
+  if (memory != nullptr) {
+    auto share = memory->Take(wanted, who);
+    if (!share) return Forward(share);
+    file.share = std::move(*share);
+  }
+  file.bytes.resize(wanted);
+  if (auto got = read(file.bytes); !got) return Forward(got);
+  return file;
+}
+
 Result<ImageHead> HeadOf(TextureImages& images, std::uint32_t image, MemoryAccount* memory) {
   auto file = images.Read(image, kFrontBytes, memory);
   if (!file) return Forward(file);

@@ -4,6 +4,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <list>
 #include <map>
 #include <memory>
@@ -43,6 +44,13 @@ struct ImageFile {
   std::uint64_t size = 0;
   MemoryShare share;
 };
+
+/// The first `most` bytes of a file of `size`, which `read` puts into a buffer from its beginning;
+/// their memory is taken from `memory` if given, for what `who` names. Errors: kOverBudget; those
+/// of `read`.
+Result<ImageFile> ReadImageFile(std::uint64_t size, std::uint64_t most, MemoryAccount* memory,
+                                const std::string& who,
+                                const std::function<Result<void>(std::span<char>)>& read);
 
 /// The images that a mesh names, each by its number. Threads: one at a time.
 class TextureImages {

@@ -137,17 +137,8 @@ Result<ImageFile> GltfImages::Read(std::uint32_t image, std::uint64_t most, Memo
     found = open_.emplace(image, std::move(*opened)).first;
   }
   GltfBytes& bytes = *found->second;
-  ImageFile file;
-  file.size = bytes.size();
-  const auto wanted = static_cast<std::size_t>(std::min(most, file.size));
-  if (memory != nullptr) {
-    auto share = memory->Take(wanted, NameOf(image) + ": the bytes of the image");
-    if (!share) return Forward(share);
-    file.share = std::move(*share);
-  }
-  file.bytes.resize(wanted);
-  if (auto read = bytes.Read(0, file.bytes); !read) return Forward(read);
-  return file;
+  return ReadImageFile(bytes.size(), most, memory, NameOf(image) + ": the bytes of the image",
+                       [&](std::span<char> out) { return bytes.Read(0, out); });
 }
 
 }  // namespace strata::io

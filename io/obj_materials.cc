@@ -121,17 +121,8 @@ Result<ImageFile> FileImages::Read(std::uint32_t image, std::uint64_t most, Memo
     found = open_.emplace(image, std::move(*source)).first;
   }
   ByteSource& source = *found->second;
-  ImageFile file;
-  file.size = source.size().value_or(0);
-  const auto wanted = static_cast<std::size_t>(std::min(most, file.size));
-  if (memory != nullptr) {
-    auto share = memory->Take(wanted, NameOf(image) + ": its bytes");
-    if (!share) return Forward(share);
-    file.share = std::move(*share);
-  }
-  file.bytes.resize(wanted);
-  if (auto read = source.ReadAt(0, file.bytes); !read) return Forward(read);
-  return file;
+  return ReadImageFile(source.size().value_or(0), most, memory, NameOf(image) + ": its bytes",
+                       [&](std::span<char> out) { return source.ReadAt(0, out); });
 }
 
 bool ObjColors::textured() const {
