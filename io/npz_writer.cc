@@ -12,6 +12,7 @@
 #include "io/carried_columns.h"
 #include "io/checked_writer.h"
 #include "io/format_writers.h"
+#include "io/sample_rows.h"
 #include "io/spool.h"
 #include "io/stored_zip.h"
 
@@ -95,11 +96,6 @@ class NpzArchive {
   StoredZip zip_;
   const RunContext* context_;
 };
-
-template <class T>
-std::string_view BytesOf(const std::vector<T>& column) {
-  return {reinterpret_cast<const char*>(column.data()), column.size() * sizeof(T)};
-}
 
 // What an array is called, its type, the numbers of a sample in it, and their bytes.
 struct ArrayKind {
@@ -196,24 +192,9 @@ class NpzWriter final : public FileWriter {
   };
 
   static std::string_view BytesIn(const SampleColumns& columns, const ArrayKind& kind) {
-    switch (kind.attribute) {
-      case kNormal:
-        return BytesOf(columns.normal);
-      case kTriangle:
-        return BytesOf(columns.triangle);
-      case kBarycentric:
-        return BytesOf(columns.barycentric);
-      case kCell:
-        return BytesOf(columns.cell);
-      case kArea:
-        return BytesOf(columns.area);
-      case kWeight:
-        return BytesOf(columns.weight);
-      case kCarried:
-        return BytesOf(columns.carried[kind.carried]);
-      default:
-        return BytesOf(columns.position);
-    }
+    if (kind.attribute != kCarried) return ColumnBytes(columns, kind.attribute);
+    const std::vector<char>& bytes = columns.carried[kind.carried];
+    return {bytes.data(), bytes.size()};
   }
 
   // An array without dimensions.

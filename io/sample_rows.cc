@@ -9,7 +9,31 @@ constexpr std::array<std::size_t, kAttributeNames.size()> kBytes = {
     sizeof(Vec3f), sizeof(std::uint64_t), sizeof(std::array<double, 3>),
     sizeof(Cell),  sizeof(double),        sizeof(double)};
 
+template <class T>
+std::string_view BytesOf(const std::vector<T>& column) {
+  return {reinterpret_cast<const char*>(column.data()), column.size() * sizeof(T)};
+}
+
 }  // namespace
+
+std::string_view ColumnBytes(const SampleColumns& columns, AttributeSet fixed) {
+  switch (fixed) {
+    case kNormal:
+      return BytesOf(columns.normal);
+    case kTriangle:
+      return BytesOf(columns.triangle);
+    case kBarycentric:
+      return BytesOf(columns.barycentric);
+    case kCell:
+      return BytesOf(columns.cell);
+    case kArea:
+      return BytesOf(columns.area);
+    case kWeight:
+      return BytesOf(columns.weight);
+    default:
+      return BytesOf(columns.position);
+  }
+}
 
 RowLayout::RowLayout(const SampleHeader& header) : attributes_(header.attributes) {
   for (std::size_t k = 0; k < kBytes.size(); ++k) {

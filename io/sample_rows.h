@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <cstring>
 #include <span>
+#include <string_view>
 #include <vector>
 
 #include "core/run_context.h"
@@ -13,6 +14,9 @@
 #include "io/spool.h"
 
 namespace strata::io {
+
+/// All bytes of a fixed attribute's column; of the positions for 0.
+std::string_view ColumnBytes(const SampleColumns& columns, AttributeSet fixed);
 
 /// Where each attribute lies in a row: bytes from its front. Absent ones are not set aside for.
 class RowLayout {

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "io/carried_columns.h"
+#include "io/sample_rows.h"
 
 namespace strata::io {
 namespace {
@@ -81,24 +82,6 @@ void ScaleColor(ScalarType type, const char* value, std::uint32_t components, ch
   if (type == ScalarType::kUint8) return Scale<std::uint8_t>(value, components, out);
   if (type == ScalarType::kUint16) return Scale<std::uint16_t>(value, components, out);
   std::memcpy(out, value, components * SizeOf(type));
-}
-
-const char* FixedAt(const SampleColumns& columns, AttributeSet fixed, std::size_t i) {
-  const auto bytes = [i](const auto& column) { return reinterpret_cast<const char*>(&column[i]); };
-  switch (fixed) {
-    case kNormal:
-      return bytes(columns.normal);
-    case kTriangle:
-      return bytes(columns.triangle);
-    case kBarycentric:
-      return bytes(columns.barycentric);
-    case kCell:
-      return bytes(columns.cell);
-    case kArea:
-      return bytes(columns.area);
-    default:
-      return bytes(columns.weight);
-  }
 }
 
 struct FixedRow {
@@ -194,13 +177,10 @@ void VdbColumns::Pack(const SampleColumns& columns, std::size_t i, char* out) co
   for (std::size_t k = 0; k < sources_.size(); ++k) {
     const Source& source = sources_[k];
     const VdbAttribute& attribute = attributes_[k];
-    const char* value = nullptr;
-    if (source.fixed != 0) {
-      value = FixedAt(columns, source.fixed, i);
-    } else {
-      const std::vector<char>& bytes = columns.carried[source.carried];
-      value = bytes.data() + i * (bytes.size() / columns.size());
-    }
+    const auto bytes = source.fixed != 0 ? ColumnBytes(columns, source.fixed)
+                                         : std::string_view(columns.carried[source.carried].data(),
+                                                            columns.carried[source.carried].size());
+    const char* const value = bytes.data() + i * (bytes.size() / columns.size());
     switch (source.how) {
       case How::kCopy:
         std::memcpy(out, value, attribute.bytes());
