@@ -41,6 +41,14 @@ def is_symbolizer(pid):
         return False
 
 
+def arguments(pid):
+    """The command line of a process; nothing once it has ended."""
+    try:
+        return pathlib.Path(f'/proc/{pid}/cmdline').read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return b''
+
+
 class Logged:
     """A process of the service whose JSON log is read as it comes."""
 
