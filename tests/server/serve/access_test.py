@@ -219,7 +219,7 @@ class Tls(unittest.TestCase):
         credentials = grpc.ssl_channel_credentials(read[0], *read[1:])
         with grpc.secure_channel(f'localhost:{server.grpc_port}', credentials) as channel:
             with self.assertRaises(grpc.RpcError) as caught:
-                list(channel.stream_stream(SAMPLE)(iter([]), timeout=10))
+                list(channel.stream_stream(SAMPLE)(iter([]), timeout=harness.PATIENCE))
             return caught.exception.code()
 
     def test_both_protocols_speak_tls(self):

@@ -83,16 +83,21 @@ class DiskFull(unittest.TestCase):
 
 class Scratch(DiskFull):
 
+    def await_space(self, empty):
+        """A request's files go just after its answer."""
+        harness.wait_until(lambda: self.disk.used() == empty, 'the space to be given back')
+
     def test_a_mesh_that_does_not_fit_is_refused_and_later_taken(self):
         server = self.serve('--scratch', str(self.disk.path))
         path = '/v1/samples?resolution=5&format=ply'
+        empty = self.disk.used()
         expected = server.curl(path, body=LARGE)
         self.assertEqual(expected.status, 200)
-        empty = self.disk.used()
+        self.await_space(empty)
         self.disk.fill()
         self.assertNoSpace(server.curl(path, body=LARGE))
         self.disk.empty()
-        harness.wait_until(lambda: self.disk.used() == empty, 'the space to be given back')
+        self.await_space(empty)
         self.assertEqual(server.curl(path, body=LARGE).body, expected.body)
 
     def test_a_result_that_does_not_fit_is_refused_and_later_given(self):
@@ -101,10 +106,11 @@ class Scratch(DiskFull):
             path = '/v1/samples?resolution=300&format=xyz'  # More than the disk.
             empty = self.disk.used()
             self.assertNoSpace(server.curl(path, body=CUBE))
-            harness.wait_until(lambda: self.disk.used() == empty, 'the space to be given back')
+            self.await_space(empty)
             self.assertEqual(server.children(), [])
             small = server.curl('/v1/samples?resolution=50&format=xyz', body=CUBE)
             self.assertEqual(small.status, 200, small.body[:300])
+            self.await_space(empty)
 
 
 class Data(DiskFull):

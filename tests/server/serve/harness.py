@@ -1,5 +1,6 @@
 """A service of the test's own on loopback, and raw sockets to it."""
 import collections
+import errno
 import io
 import json
 import os
@@ -47,6 +48,15 @@ def arguments(pid):
         return pathlib.Path(f'/proc/{pid}/cmdline').read_bytes()
     except (FileNotFoundError, ProcessLookupError):
         return b''
+
+
+def is_alive(pid):
+    """Whether a process runs; one that nobody has waited for yet does not."""
+    try:
+        state = pathlib.Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state not in 'ZX'
 
 
 class Logged:
@@ -120,6 +130,12 @@ class Server(Logged):
                 pass  # The thread ended meanwhile.
         return [pid for pid in found if not is_symbolizer(pid)]
 
+    def children_at_once(self):
+        """Those that were there at one moment: a walk over the threads takes a while, and one that
+        begins may be counted beside one that has ended."""
+        before = set(self.children())
+        return [pid for pid in self.children() if pid in before]
+
     def resident_bytes(self):
         text = pathlib.Path(f'/proc/{self.process.pid}/status').read_text()
         return int(re.search(r'VmRSS:\s+(\d+)', text)[1]) * 1024
@@ -139,12 +155,9 @@ class Server(Logged):
                 'scratch': sorted(os.listdir(self.path / 'scratch'))}
 
     def await_held(self, before):
-        """Fails unless it comes to hold what it held `before`, or fewer threads."""
-        def same():
-            now = self.held()
-            return {**now, 'threads': max(now['threads'], before['threads'])} == before
+        """Fails unless it comes to hold no more than it held `before`."""
         try:
-            wait_until(same, 'everything to be given back')
+            wait_until(lambda: holds_no_more(self.held(), before), 'everything to be given back')
         except AssertionError as error:
             raise AssertionError(f'{error}: before {before}, now {self.held()}') from None
 
@@ -184,7 +197,7 @@ class Server(Logged):
             except (BrokenPipeError, ConnectionResetError):
                 pass  # The server may answer and close before everything is sent.
             if close_writing:
-                connection.shutdown(socket.SHUT_WR)
+                end_writing(connection)
             return read_to_end(connection)
 
     def metric(self, name):
@@ -192,6 +205,24 @@ class Server(Logged):
         text = self.curl('/metrics').body.decode()
         found = re.search(rf'^{re.escape(name)} (\S+)$', text, re.M)
         return float(found[1]) if found else 0.0
+
+
+def holds_no_more(now, before):
+    """Whether a service holds no more `now` than `before`. It may hold less: what it does from time to
+    time by itself may have been under way before."""
+    kinds = now['descriptors'].items()
+    return (all(count <= before['descriptors'].get(kind, 0) for kind, count in kinds) and
+            now['threads'] <= before['threads'] and now['children'] <= before['children'] and
+            set(now['scratch']) <= set(before['scratch']))
+
+
+def end_writing(connection):
+    """Nothing more is sent. A server that has answered and is gone does not mind."""
+    try:
+        connection.shutdown(socket.SHUT_WR)
+    except OSError as error:
+        if error.errno != errno.ENOTCONN:
+            raise
 
 
 def read_to_end(connection):
@@ -297,10 +328,10 @@ LONG_MODEL = {'resolution': 3000, 'format': 'xyz'}  # The same of a stored cube.
 LONG = '/v1/samples?resolution=3000&format=xyz'
 
 
-def long_request():
+def long_request(path=LONG):
     """LONG as raw bytes."""
     return (b'POST %s HTTP/1.1\r\nHost: localhost\r\nContent-Length: %d\r\n\r\n' %
-            (LONG.encode(), len(CUBE)) + CUBE)
+            (path.encode(), len(CUBE)) + CUBE)
 
 
 class ServerCase(unittest.TestCase):

@@ -94,7 +94,7 @@ class Hostile(ServerCase):
         harness.wait_until(lambda: not self.server.children(), 'all children to end')
         harness.wait_until(lambda: self.server.metric('strata_connections{protocol="http"}') <= 1,
                            'all connections to end')
-        self.assertEqual(os.listdir(self.server.path / 'scratch'), [])
+        harness.wait_until(lambda: not os.listdir(self.server.path / 'scratch'), 'their files to go')
 
     def test_random_bytes_get_an_error_or_nothing(self):
         seed = random.randrange(1 << 32)

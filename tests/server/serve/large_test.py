@@ -66,7 +66,7 @@ class Upload(unittest.TestCase):
         answer, over = self.send(b'POST /v1/samples HTTP/1.1\r\n')
         ServerCase.assertProblem(self, answer, 415, 'unsupported-format')  # Zeros are no mesh.
         self.assertLess(over, 64 * MIB)
-        self.assertEqual(os.listdir(self.server.path / 'scratch'), [])
+        harness.wait_until(lambda: not os.listdir(self.server.path / 'scratch'), 'its file to go')
 
 
 class Many(unittest.TestCase):
@@ -109,7 +109,7 @@ class Many(unittest.TestCase):
 
         def look():
             while not done.wait(0.02):
-                children = server.children()
+                children = server.children_at_once()
                 now = {'own': server.resident_bytes() - idle, 'running': len(children),
                        'jobs': sum(private_bytes(child) for child in children),
                        'promised': server.metric('strata_job_memory_bytes')}

@@ -54,6 +54,9 @@ class Metrics(unittest.TestCase):
         cls.server.curl('/v1/samples', body=b'no mesh')
         for _ in range(2):  # A miss, then a hit.
             cls.server.curl('/v1/samples?model=spot.obj&resolution=9')
+        # A request is counted just after its answer.
+        asked = 'strata_requests_total{endpoint="/v1/samples",protocol="http",status="200"}'
+        harness.wait_until(lambda: cls.server.metric(asked) == 3, 'the requests to be counted')
 
     @classmethod
     def tearDownClass(cls):

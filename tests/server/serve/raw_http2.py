@@ -35,7 +35,7 @@ class Connection:
         self.socket.settimeout(harness.PATIENCE)
         self.buffer = b''
         if hello:
-            self.socket.sendall(PREFACE + frame(SETTINGS))
+            self.send(PREFACE + frame(SETTINGS))
 
     def __enter__(self):
         return self
@@ -43,8 +43,15 @@ class Connection:
     def __exit__(self, *_):
         self.socket.close()
 
+    def send(self, raw):
+        """What a server that has closed does not take is lost."""
+        try:
+            self.socket.sendall(raw)
+        except (BrokenPipeError, ConnectionResetError):
+            pass
+
     def open_call(self, stream, path, *more):
-        self.socket.sendall(frame(HEADERS, END_HEADERS, stream, call_headers(path, *more)))
+        self.send(frame(HEADERS, END_HEADERS, stream, call_headers(path, *more)))
 
     def frames(self):
         """(kind, flags, stream, payload) until the server closes; pings and settings are answered."""
@@ -61,13 +68,10 @@ class Connection:
             kind, flags = self.buffer[3], self.buffer[4]
             stream = int.from_bytes(self.buffer[5:9], 'big') & 0x7fffffff
             payload, self.buffer = self.buffer[9:9 + size], self.buffer[9 + size:]
-            try:
-                if kind == SETTINGS and not flags & 1:
-                    self.socket.sendall(frame(SETTINGS, 1))
-                if kind == PING and not flags & 1:
-                    self.socket.sendall(frame(PING, 1, 0, payload))
-            except OSError:
-                return
+            if kind == SETTINGS and not flags & 1:
+                self.send(frame(SETTINGS, 1))
+            if kind == PING and not flags & 1:
+                self.send(frame(PING, 1, 0, payload))
             yield kind, flags, stream, payload
 
     def await_end(self):

@@ -5,6 +5,8 @@ import json
 import math
 import os
 import pathlib
+import shutil
+import sqlite3
 import tempfile
 import unittest
 
@@ -69,12 +71,26 @@ class Resume(unittest.TestCase):
         return f'/v1/jobs/{made["id"]}'
 
     def killed_job(self):
-        server = self.serve()
-        where = self.start_job(server)
-        server.process.kill()
-        server.process.wait()
-        self.assertTrue(self.checkpoints(), 'what was killed leaves its checkpoint')
-        return where
+        """The address of a job whose service was killed in its middle."""
+        for _ in range(9):
+            server = self.serve()
+            where = self.start_job(server)
+            children = server.children()
+            server.process.kill()
+            server.process.wait()
+            harness.wait_until(lambda: not any(map(harness.is_alive, children)), 'its job to end')
+            if self.unfinished():
+                self.assertTrue(self.checkpoints(), 'what was killed leaves its checkpoint')
+                return where
+            shutil.rmtree(self.data)  # It was done before it could be killed.
+        self.fail('each job was done before it could be killed')
+
+    def unfinished(self):
+        database = sqlite3.connect(f'file:{self.data}/strata.db?mode=ro', uri=True)
+        try:
+            return database.execute('SELECT 1 FROM jobs WHERE finished IS NULL').fetchall()
+        finally:
+            database.close()
 
     def finished(self, server, where):
         """The job's summary; its result has the command's bytes, and nothing is left of it."""

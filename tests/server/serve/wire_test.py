@@ -1,7 +1,6 @@
 #!/usr/bin/env python3
 """HTTP as no well-behaved client speaks it: where one server sees a request's end or host and
 another sees it elsewhere, and lines that have no end."""
-import socket
 import time
 
 import harness
@@ -78,7 +77,7 @@ class Framing(ServerCase):
                     while sent < 64 << 20 and time.monotonic() < begin + harness.PATIENCE:
                         client.sendall(line * 64)
                         sent += len(line) * 64
-                    client.shutdown(socket.SHUT_WR)
+                    harness.end_writing(client)
                 except (BrokenPipeError, ConnectionResetError):
                     pass  # It has answered, read on a little, and closed.
                 self.assertLess(self.server.resident_bytes() - before, 16 << 20)
