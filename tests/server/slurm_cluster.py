@@ -4,9 +4,12 @@ import os
 import pathlib
 import shutil
 import signal
-import socket
 import subprocess
+import sys
 import time
+
+sys.path.append(str(pathlib.Path(__file__).resolve().parents[1] / 'support'))
+from free_port import free_port  # noqa: E402
 
 NEEDED = ('munged', 'slurmctld', 'slurmd', 'sbatch', 'scontrol', 'sinfo', 'squeue', 'scancel')
 SEARCH = os.environ.get('PATH', '') + ':/usr/sbin:/sbin'
@@ -34,14 +37,10 @@ def wait_for(what, condition, seconds, interval=0.1):
 
 
 def free_ports(count):
-    sockets = [socket.socket() for _ in range(count)]
-    try:
-        for one in sockets:
-            one.bind(('127.0.0.1', 0))
-        return [one.getsockname()[1] for one in sockets]
-    finally:
-        for one in sockets:
-            one.close()
+    ports = set()
+    while len(ports) < count:
+        ports.add(free_port())
+    return ports
 
 
 CONFIGURATION = """

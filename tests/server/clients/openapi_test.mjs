@@ -16,9 +16,9 @@ const ONLY_ASKED = ['voxel_size', 'height', 'threads', 'memory', 'batch_size'];
 const VERBS = ['get', 'put', 'post', 'delete', 'options', 'head', 'patch'];
 const folder = mkdtempSync(join(tmpdir(), 'strata-openapi-'));
 const keys = makeKeys(folder);
-// One model of the service's own folder is open to everybody to read; a job ends by its time limit.
+// One model of the service's own folder is open to everybody to read; a large result fails its job.
 const server = new Server(['--keys', keys.path, '--models', join(source, 'models'), '--body-size', '1M',
-                           '--job-time', '2']);
+                           '--result-size', '1M']);
 let api;
 
 before(async () => {
@@ -277,14 +277,14 @@ async function askEverything(judge) {
   await judge.ask('get', '/v1/jobs/{id}/result', 404, { at: '/v1/jobs/none/result' });
   const long = await judge.ask('post', '/v1/jobs', 202, request({ resolution: 3000, format: 'xyz' }));
   await judge.ask('get', '/v1/jobs/{id}/result', 409, { at: `/v1/jobs/${long.json.id}/result` });
+  await judge.ask('delete', '/v1/jobs/{id}', 200, { at: `/v1/jobs/${long.json.id}` });
+  const large = await judge.ask('post', '/v1/jobs', 202, request({ resolution: 250, format: 'xyz' }));
   const failed = await judge.ask('get', '/v1/jobs/{id}', 200,
-                                 { at: `/v1/jobs/${long.json.id}`, query: '?wait=60' });
-  assert.equal(failed.json.state, 'failed');  // Beyond its time.
+                                 { at: `/v1/jobs/${large.json.id}`, query: '?wait=60' });
+  assert.equal(failed.json.state, 'failed');  // Beyond the size of a result.
   await judge.ask('post', '/v1/jobs', 202, request({ method: 'uniform', count: '9', format: 'xyz' }));
   const again = await judge.ask('post', '/v1/jobs', 202, request({ resolution: 7, format: 'ply' }));
   await judge.ask('get', '/v1/jobs/{id}', 200, { at: `/v1/jobs/${again.json.id}`, query: '?wait=60' });
-  const other = await judge.ask('post', '/v1/jobs', 202, request({ resolution: 900, format: 'xyz' }));
-  await judge.ask('delete', '/v1/jobs/{id}', 200, { at: `/v1/jobs/${other.json.id}` });
   await judge.ask('delete', '/v1/jobs/{id}', 404, { at: '/v1/jobs/none' });
   await judge.ask('get', '/v1/jobs', 200, { query: '?page_size=1' });
   await judge.ask('get', '/v1/jobs', 200);

@@ -2,12 +2,33 @@
 import { spawn, spawnSync } from 'node:child_process';
 import { once } from 'node:events';
 import { mkdirSync, mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
+import { createServer } from 'node:net';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { createInterface } from 'node:readline';
 
 export const source = process.env.SOURCE;
 export const mesh = readFileSync(join(source, 'models/spot.obj'));
+
+/** A free port, and none that the system gives to outgoing connections: it is still free when a service
+ *  that was killed comes back to it. */
+async function freePort() {
+  const range = readFileSync('/proc/sys/net/ipv4/ip_local_port_range', 'utf8');
+  const lowest = Number(range.split('\t')[0]);
+  for (let tries = 0; tries < 1000; ++tries) {
+    const probe = createServer();
+    const listening = new Promise((resolve) => {
+      probe.once('error', () => resolve(false));
+      probe.once('listening', () => resolve(true));
+    });
+    probe.listen(10_000 + Math.floor(Math.random() * (lowest - 10_000)), '127.0.0.1');
+    if (!await listening) continue;
+    const { port } = probe.address();
+    await new Promise((resolve) => { probe.close(resolve); });
+    return port;
+  }
+  throw new Error(`no free port below ${lowest}`);
+}
 
 /** `strata serve` with a data folder, which outlives its crashes. */
 export class Server {
@@ -20,6 +41,7 @@ export class Server {
 
   /** Starts it; the second time on the port of the first. */
   async start() {
+    this.port ||= await freePort();
     this.process = spawn(
       process.env.STRATA,
       ['serve', '--http', `127.0.0.1:${this.port}`, '--grpc', 'off', '--log-format', 'json',

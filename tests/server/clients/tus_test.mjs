@@ -10,6 +10,7 @@ import { Server, mesh } from './support.mjs';
 
 const CHUNK = 16 << 10;
 const SAMPLES = 'resolution=25&format=ply';
+const PATIENT = Array(1200).fill(50);  // A minute for what takes an instant.
 const server = new Server();
 let direct;  // The samples of the mesh, sent in one request.
 
@@ -118,7 +119,7 @@ async function breakingWay(bytes) {
 test('an upload whose connection breaks in the middle of a chunk is resumed by itself', async () => {
   const way = await breakingWay(mesh.length / 2);
   const { upload, done, offsets } = uploadOf('broken.obj', {
-    endpoint: `${way.url}/v1/uploads`, retryDelays: Array(20).fill(50),
+    endpoint: `${way.url}/v1/uploads`, retryDelays: PATIENT,
   });
   upload.start();
   await done;
@@ -130,7 +131,7 @@ test('an upload whose connection breaks in the middle of a chunk is resumed by i
 
 test('an upload goes on after the service was killed and started again', async () => {
   const { upload, done, offsets } = uploadOf('killed.obj',
-    { chunkSize: CHUNK, retryDelays: Array(200).fill(50) });
+    { chunkSize: CHUNK, retryDelays: PATIENT });
   let restarted;
   upload.options.onChunkComplete = (_, accepted) => {
     if (restarted || accepted < 3 * CHUNK) return;

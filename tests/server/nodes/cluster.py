@@ -3,10 +3,12 @@ import os
 import pathlib
 import pwd
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
+
+sys.path.append(str(pathlib.Path(__file__).resolve().parents[2] / 'support'))
+from free_port import free_port  # noqa: E402
 
 SKIPPED = 77
 PASSWORD = 'se%cret:w/rd'  # Of the user strata, over TCP; looked for in logs and messages.
@@ -26,12 +28,6 @@ def skip_without_postgres():
     if os.getuid() == 0 and not shutil.which('setpriv'):
         print('skipped: PostgreSQL does not run as root, and setpriv is missing')
         sys.exit(SKIPPED)
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
 
 
 class Cluster:

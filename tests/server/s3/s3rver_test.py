@@ -7,6 +7,7 @@ import os
 import pathlib
 import socket
 import subprocess
+import sys
 import tempfile
 
 import client_test
@@ -14,11 +15,8 @@ from batch_test import sphere
 from client_test import ARGUMENTS, MIB, ClientTest, percent_encoded, wait_until
 from store import PassOn, Store, cut_after, slow_down
 
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
+sys.path.append(str(pathlib.Path(__file__).resolve().parents[2] / 'support'))
+from free_port import free_port  # noqa: E402
 
 
 class S3rver:
