@@ -162,12 +162,12 @@ class Cluster:
         self._daemon('munged', '--foreground', '--force', f'--key-file={key}',
                      f'--socket={root}/munge.socket', f'--pid-file={root}/munged.pid',
                      f'--log-file={root}/munged.log', f'--seed-file={root}/munged.seed')
-        wait_for('munged', (root / 'munge.socket').exists, 20)
+        wait_for('munged', (root / 'munge.socket').exists, 60)
         self._daemon('slurmctld', '-D', '-i')
         for node in ('node1', 'node2'):
             (root / f'spool-{node}').mkdir()
             self._daemon('slurmd', '-D', '-N', node)
-        wait_for('two idle nodes', self._nodes_are_idle, 60)
+        wait_for('two idle nodes', self._nodes_are_idle, 120)
 
     def _nodes_are_idle(self):
         for daemon in self.daemons:

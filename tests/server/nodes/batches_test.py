@@ -86,6 +86,7 @@ class FolderTest(nodes_test.NodesCase):
                                  hashlib.sha256(outputs[name]).hexdigest())
 
     def test_any_node_knows_any_batch(self):
+        self.lease = 60
         self.put_models(20)
         first, second, third = (self.serve() for _ in range(3))
         ids = [self.create(node) for node in (first, second, first)]
@@ -107,9 +108,11 @@ class FolderTest(nodes_test.NodesCase):
             self.assertEqual(self.ask(node, '/v1/batches/' + 32 * '0')[0], 404)
 
     def test_any_node_cancels_any_batch(self):
-        self.put_models(200)
+        self.lease = 60
+        self.put_models(100)
         nodes = [self.serve() for _ in range(2)]
-        running = self.create(nodes[0])
+        long = {**OPTIONS, 'resolution': 400}  # A second or so for each model; all are cancelled.
+        running = self.create(nodes[0], options=long)
         holder = wait_until(lambda: self.holder(running), 'the batch to run')
         wait_until(lambda: int(self.batch(nodes[1], running).get('models', 0)) > 0, 'it to begin')
         other = next(node for node in nodes if node is not holder)
@@ -118,7 +121,7 @@ class FolderTest(nodes_test.NodesCase):
         self.assertEqual(ended['state'], 'cancelled', ended)
         self.assertEqual(self.batch(holder, running)['state'], 'cancelled')
         # One that waits ends at once.
-        busy = [self.create(nodes[0]) for _ in range(2)]
+        busy = [self.create(nodes[0], options=long) for _ in range(2)]
         for id in busy:
             wait_until(lambda: self.holder(id), 'both nodes to be busy')
         waiting = self.create(nodes[0])
@@ -128,23 +131,32 @@ class FolderTest(nodes_test.NodesCase):
             self.ask(nodes[1], f'/v1/batches/{id}', '-X', 'DELETE')
             self.assertEqual(self.end_of(nodes[0], id)['state'], 'cancelled')
 
-    def in_the_middle(self):
-        """A batch of 120 models of which some are sampled: the nodes, its id, who runs it, who not."""
+    def stopped_in_the_middle(self):
+        """A batch of 120 models of which some are sampled, and whose node is stopped: the nodes, its id,
+        who ran it, who not."""
         self.put_models(120)
         nodes = [self.serve() for _ in range(2)]
-        id = self.create(nodes[0])
-        holder = wait_until(lambda: self.holder(id), 'the batch to run')
-        other = next(node for node in nodes if node is not holder)
-        wait_until(lambda: int(self.batch(other, id).get('sampled', 0)) > 20, 'some to be sampled')
-        return nodes, id, holder, other
+        for _ in range(20):
+            id = self.create(nodes[0])
+            goes_on = f"SELECT 1 FROM strata.batches WHERE id = '{id}' AND ended IS NULL"
+            holder = wait_until(lambda: self.holder(id) or not self.sql(goes_on), 'the batch to run')
+            if holder is True:
+                continue  # It was quicker.
+            other = next(node for node in nodes if node is not holder)
+            wait_until(lambda: int(self.batch(other, id).get('sampled', 0)) > 20 or
+                       not self.sql(goes_on), 'some to be sampled')
+            holder.process.send_signal(signal.SIGSTOP)
+            if self.sql(goes_on):
+                return nodes, id, holder, other
+            holder.process.send_signal(signal.SIGCONT)
+        self.fail('no batch was stopped before its end')
 
     def interrupted(self, number):
         """A batch whose node gets a signal in the middle; it must end elsewhere."""
-        nodes, id, holder, other = self.in_the_middle()
-        if number == signal.SIGKILL:
-            holder.process.kill()
-        else:
+        nodes, id, holder, other = self.stopped_in_the_middle()
+        if number != signal.SIGSTOP:
             holder.process.send_signal(number)
+            holder.process.send_signal(signal.SIGCONT)
         ended = self.end_of(other, id)
         self.assertEqual(ended['state'], 'succeeded', ended)
         self.assertEqual(int(ended.get('sampled', 0)) + int(ended.get('unchanged', 0)), 120)
@@ -153,9 +165,11 @@ class FolderTest(nodes_test.NodesCase):
 
     def test_a_batch_of_a_killed_node_goes_on_at_another(self):
         _, id = self.interrupted(signal.SIGKILL)
-        self.assertEqual(self.sql(f"SELECT attempts FROM strata.batches WHERE id = '{id}'"), [['2']])
+        [[attempts]] = self.sql(f"SELECT attempts FROM strata.batches WHERE id = '{id}'")
+        self.assertGreater(int(attempts), 1)  # 2, where no other lease ran out.
 
     def test_a_batch_of_a_node_that_ends_is_given_back(self):
+        self.lease = 60  # It is not waited for.
         _, id = self.interrupted(signal.SIGTERM)
         self.assertEqual(self.sql(f"SELECT attempts FROM strata.batches WHERE id = '{id}'"), [['1']])
 
@@ -211,9 +225,9 @@ class BucketTest(FolderTest, bucket_test.BucketCase):
 
 
     def test_what_a_paused_node_had_does_not_replace_what_another_has(self):
-        nodes, id, holder, other = self.in_the_middle()
+        nodes, id, holder, other = self.stopped_in_the_middle()
         paused = [holder.process.pid, *map(int, holder.children())]
-        for pid in paused:
+        for pid in paused[1:]:  # One that has ended stays there until its parent looks.
             os.kill(pid, signal.SIGSTOP)
         self.assertEqual(self.end_of(other, id)['state'], 'succeeded')
         before = other.curl(f'/v1/batches/{id}/manifest').body

@@ -31,26 +31,6 @@ def mesh_of(size, seed=0):
     return CUBE + b''.join(b'# %08d %s\n' % (i, line.encode()) for i in range(size // 110))
 
 
-class Blocked:
-    """Holds back what the store does with one request until it is let go."""
-
-    def __init__(self, store, takes, before=True):
-        self.came, self.go, self.done = (threading.Event() for _ in range(3))
-        self.before = before
-        store.fail(takes, self.act)
-
-    def act(self, handler, request):
-        answer = None if self.before else handler.server.store.answer(request)
-        self.came.set()
-        self.go.wait(120)
-        answer = answer or handler.server.store.answer(request)
-        self.done.set()
-        return answer
-
-    def wait(self):
-        assert self.came.wait(60), 'the request never came'
-
-
 class BucketCase(nodes_test.NodesCase):
     def setUp(self):
         super().setUp()
@@ -67,7 +47,7 @@ class BucketCase(nodes_test.NodesCase):
         self.number = 0
 
     def blocked(self, takes, **rest):
-        self.blocks.append(Blocked(self.store, takes, **rest))
+        self.blocks.append(s3.Blocked(self.store, takes, **rest))
         return self.blocks[-1]
 
     def environment(self, **more):
@@ -82,13 +62,13 @@ class BucketCase(nodes_test.NodesCase):
     def options(self, url=None):
         own = self.bucket_options()
         return ('--database', nodes_test.POSTGRES.url(self.database), *own, '--lease',
-                str(nodes_test.LEASE), '--job-threads', '1', '--jobs', '1')
+                str(self.lease), '--job-threads', '1', '--jobs', '1')
 
     def serve(self, *more, **rest):
         return super().serve(*more, environment=self.environment(), **rest)
 
     def worker(self, *more, **rest):
-        options = [*self.options(), *more]
+        options = [*self.options(), *nodes_test.attempts_of(more), *more]
         del options[options.index('--scratch'):options.index('--scratch') + 2]
         self.nodes.append(nodes_test.Worker(*options, environment=self.environment(), **rest))
         return self.nodes[-1]
@@ -216,7 +196,8 @@ class SharedTest(BucketCase):
         server.process.send_signal(signal.SIGCONT)
         block = None
         for seed in range(50):
-            block = self.blocked(lambda r: r.method == 'PUT')
+            # What a killed one had sent has come before anybody looks for leftovers.
+            block = self.blocked(lambda r: r.method == 'PUT', before=number != signal.SIGKILL)
             id = self.post(server, 80, seed=seed)
             block.wait()
             if str(self.running_at(id)).endswith(f':{worker.process.pid}'):
@@ -226,8 +207,6 @@ class SharedTest(BucketCase):
         else:
             self.fail('the worker never got a job')
         worker.process.send_signal(number)
-        if number == signal.SIGKILL:
-            block.go.set()  # What is on its way comes before anybody looks for leftovers.
         job = self.ended(server, id)
         self.assertEqual(job['state'], 'succeeded', job)
         self.assertEqual([entry['why'] for entry in job['history']][-1], 'succeeded')
@@ -256,8 +235,14 @@ class SharedTest(BucketCase):
     def test_while_the_bucket_is_away_requests_are_told_so_and_no_job_is_lost(self):
         server, other = self.serve(), self.serve()
         self.put(server, 'spot.obj', spot().read_bytes())
-        ids = {self.post(server, 300, seed=seed): seed for seed in range(4)}
-        wait_until(lambda: self.sql('SELECT 1 FROM strata.jobs WHERE state = 1'), 'a job to run')
+        ids = {}
+
+        def post():
+            seed = len(ids)
+            ids[self.post(server, 300, seed=seed)] = seed
+        for _ in range(4):
+            post()
+        self.await_a_running_job(post)
         self.store.fail(lambda r: True, s3.slow_down(), times=1 << 30)
         for node in (server, other):
             wait_until(lambda: node.curl('/readyz').status == 503, 'the node not to be ready')
@@ -423,9 +408,9 @@ class SingleTest(BucketCase):
             silent.wait(120)
             return handler.server.store.answer(request)
         self.store.fail(lambda r: True, wait, times=1 << 30)
-        wait_until(lambda: server.curl('/readyz', '--max-time', '20').status == 503,
+        wait_until(lambda: server.curl('/readyz', '--max-time', '30').status == 503,
                    'the node not to be ready')
-        self.assertEqual(server.curl('/livez', '--max-time', '5').status, 200)
+        self.assertEqual(server.curl('/livez', '--max-time', '30').status, 200)
         refused = server.curl('/v1/models/other.obj', '-X', 'PUT', body=b'# other\n' + CUBE)
         self.assertEqual(refused.status, 503, refused.body)
         self.store.forget()
@@ -447,7 +432,7 @@ class SingleTest(BucketCase):
         client = threading.Thread(target=lambda: answers.append(server.curl(query + '8')))
         client.start()
         block.wait()
-        other = server.curl(query + '9', '--max-time', '20')
+        other = server.curl(query + '9', '--max-time', '60')
         self.assertEqual(other.status, 200, other.body)
         block.go.set()
         client.join()

@@ -56,7 +56,8 @@ class Cluster:
         if self.user:
             command = ['setpriv', f'--reuid={self.user}', f'--regid={self.user}', '--init-groups',
                        *command]
-        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, timeout=120)
+        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, timeout=300,
+                              env={**os.environ, 'PGCTLTIMEOUT': '240'})
         if check and done.returncode:
             raise AssertionError(f'{program}: {done.stdout}{done.stderr}')
         return done

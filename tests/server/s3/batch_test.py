@@ -14,7 +14,7 @@ import tempfile
 import unittest
 
 from client_test import MIB, wait_until
-from store import KEYS, Store, cut_after, hang_up, refusal, slow_down
+from store import KEYS, Blocked, Store, cut_after, hang_up, refusal, slow_down
 
 ARGUMENTS = {}
 MODELS = 30
@@ -81,8 +81,9 @@ class BatchTest(unittest.TestCase):
         self.store.backend.objects[bucket, key] = body, tag
 
     def objects(self, bucket, suffix=''):
-        return {key: body for (place, key), (body, _) in self.store.backend.objects.items()
-                if place == bucket and key.endswith(suffix)}
+        with self.store.backend.lock:
+            return {key: body for (place, key), (body, _) in self.store.backend.objects.items()
+                    if place == bucket and key.endswith(suffix)}
 
     def environment(self, home='home', **more):
         return {'PATH': os.environ['PATH'], 'HOME': str(self.folder / home),
@@ -269,9 +270,13 @@ class FromBucketToBucket(BatchTest):
         self.assertEqual(self.fetched(), [])
 
     def test_ctrl_c_keeps_what_is_finished(self):
+        # What comes after the first five waits for the signal.
+        later = Blocked(self.store, lambda r: r.method == 'PUT' and r.key.endswith('.drc') and
+                        len(self.outputs_in_bucket()) >= 5, times=MODELS)
         process = self.start()
-        wait_until(lambda: len(self.outputs_in_bucket()) >= 5 or process.poll() is not None, 'five')
+        later.wait()
         process.send_signal(signal.SIGINT)
+        later.go.set()
         process.communicate(timeout=600)
         self.assertEqual(process.returncode, 130)
         kept = len(self.outputs_in_bucket())
@@ -281,11 +286,12 @@ class FromBucketToBucket(BatchTest):
         self.assert_complete()
 
     def test_a_second_batch_into_the_same_prefix_is_refused(self):
-        self.store.fail(lambda r: r.key.endswith('.drc'), slow_down(2), times=1)
+        held = Blocked(self.store, lambda r: r.method == 'PUT' and r.key.endswith('.drc'))
         process = self.start()
-        wait_until(lambda: self.outputs_in_bucket() or process.poll() is not None, 'an output')
+        held.wait()
         message = self.batch(status=9)
         self.assertIn(f'process {process.pid}', message)
+        held.go.set()
         process.communicate(timeout=600)
         self.assert_complete()
 
@@ -349,8 +355,14 @@ class Elsewhere(BatchTest):
         most = []
 
         def watch(request):
-            waiting = self.folder.glob('home/.cache/strata/batch/*/.strata/models/*')
-            most.append(sum(path.stat().st_size for path in waiting if path.exists()))
+            total = 0
+            for folder, _, files in os.walk(self.folder / 'home/.cache/strata/batch'):
+                for name in files if folder.endswith('/.strata/models') else ():
+                    try:
+                        total += os.stat(os.path.join(folder, name)).st_size
+                    except FileNotFoundError:
+                        pass  # It was sampled meanwhile.
+            most.append(total)
             return False
         self.store.fail(watch, hang_up)
         bound = 4 * max(map(len, self.models.values()))

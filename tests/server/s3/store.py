@@ -288,6 +288,26 @@ class Store:
         self.thread.join()
 
 
+class Blocked:
+    """Holds back what the store does with one request, or with its answer, until it is let go."""
+
+    def __init__(self, store, takes, before=True, times=1):
+        self.came, self.go, self.done = (threading.Event() for _ in range(3))
+        self.before = before
+        store.fail(takes, self.act, times)
+
+    def act(self, handler, request):
+        answer = None if self.before else handler.server.store.answer(request)
+        self.came.set()
+        self.go.wait(120)
+        answer = answer or handler.server.store.answer(request)
+        self.done.set()
+        return answer
+
+    def wait(self):
+        assert self.came.wait(60), 'the request never came'
+
+
 def hang_up(handler, request):
     """The connection breaks without an answer."""
     with contextlib.suppress(OSError):
