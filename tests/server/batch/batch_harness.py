@@ -92,6 +92,15 @@ def children(process):
     return found
 
 
+def is_alive(process):
+    """Whether it runs; one that nobody has waited for yet does not."""
+    try:
+        state = pathlib.Path(f'/proc/{process}/stat').read_text().rpartition(')')[2].split()[0]
+    except OSError:
+        return False
+    return state not in 'ZX'
+
+
 def resident_bytes(process):
     try:
         pages = pathlib.Path(f'/proc/{process}/statm').read_text().split()

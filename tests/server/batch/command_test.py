@@ -9,8 +9,8 @@ import subprocess
 import unittest
 
 import batch_harness
-from batch_harness import (BatchTest, CUBE, PATIENCE, QUICK, children, command, cube, manifest,
-                           outputs, sha256, unmeasured, wait_until)
+from batch_harness import (BatchTest, CUBE, PATIENCE, QUICK, children, command, cube, is_alive,
+                           manifest, outputs, sha256, unmeasured, wait_until)
 
 
 def counts(text):
@@ -217,12 +217,11 @@ class KeepsOthersOut(BatchTest):
             self.assertIn(f'process {first.pid}', text)
             workers = children(first.pid)
             first.send_signal(signal.SIGINT)
-            first.communicate(timeout=30)
+            first.communicate(timeout=PATIENCE)
         finally:
             first.kill()
         self.assertEqual(first.returncode, 130)
-        wait_until(lambda: not any(os.path.exists(f'/proc/{each}') for each in workers),
-                   'the workers to end')
+        wait_until(lambda: not any(map(is_alive, workers)), 'the workers to end')
         self.assert_nothing_half()
         self.assertEqual(len(manifest(self.out)), 1, 'what was finished is kept')
 

@@ -10,7 +10,8 @@ import subprocess
 import unittest
 
 import batch_harness
-from batch_harness import (BatchTest, QUICK, children, manifest, outputs, unmeasured, wait_until)
+from batch_harness import (BatchTest, QUICK, children, is_alive, manifest, outputs, unmeasured,
+                           wait_until)
 
 KILLS = 20
 
@@ -55,8 +56,7 @@ class Killed(BatchTest):
             running.kill()
             running.communicate()
             kills += 1
-            wait_until(lambda: not any(os.path.exists(f'/proc/{each}') for each in workers),
-                       'the workers to die with it')
+            wait_until(lambda: not any(map(is_alive, workers)), 'the workers to die with it')
             whole = path.read_bytes().rpartition(b'\n')[0] if path.exists() else b''
             now = whole.count(b'\n') + bool(whole)
             self.assertGreaterEqual(now, finished, 'a finished model was lost')

@@ -2,14 +2,13 @@
 """Batches over the repository of the service: the same outputs and manifest as the command's, progress,
 cancel, and a service that is killed in the middle."""
 import json
-import os
 import pathlib
 import signal
 import sys
 import unittest
 
 import batch_harness
-from batch_harness import cube, unmeasured, wait_until
+from batch_harness import cube, is_alive, unmeasured, wait_until
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent / 'serve'))
 import harness  # noqa: E402  The service's own.
@@ -108,8 +107,13 @@ class Batches(ServiceTest):
         return {'options': {'resolution': 300, 'lambda': 20}}
 
     def test_one_that_is_cancelled_ends_and_keeps_what_it_had_finished(self):
-        server = self.serve()
-        request = self.hard()
+        server = self.serve('--jobs', '1')  # One model after the other.
+        self.put('a/small.off')
+        self.put('a/strata.toml', 'resolution = 8\n')
+        for i in range(6):
+            self.make_mesh(f'hard/{i}.ply', 60_000 + i)
+        self.put('hard/strata.toml', 'resolution = 1000\nlambda = 20\n')  # Seconds for each.
+        request = {'options': {}}
         number = self.create(server, **request)
         waiting = self.create(server, **request)
         wait_until(lambda: self.ask(server, f'/v1/batches/{number}')[1].get('sampled'),
@@ -119,7 +123,7 @@ class Batches(ServiceTest):
         self.ask(server, f'/v1/batches/{number}', '-X', 'DELETE')
         self.assertEqual(self.ended(server, number)['state'], 'cancelled')
         lines = self.manifest(server, number)
-        self.assertTrue(0 < len(lines) < 6, lines.keys())
+        self.assertTrue(0 < len(lines) < 7, lines.keys())
         wait_until(lambda: not server.children(), 'its process to end')
         self.assertEqual(server.stop(), 0)
 
@@ -134,8 +138,7 @@ class Batches(ServiceTest):
             before = self.manifest(server, number)
             children = server.children()
             server.stop(end)
-            wait_until(lambda: not any(os.path.exists(f'/proc/{each}') for each in children),
-                       'the batch to end with its service')
+            wait_until(lambda: not any(map(is_alive, children)), 'the batch to end with its service')
             server = self.serve()
             batch = self.ended(server, number)
             self.assertEqual(batch['state'], 'succeeded', batch)
