@@ -176,7 +176,7 @@ TEST_P(Killed, AtRandomMomentsLeavesNoOutputAndTheNextRunCleansUp) {
   const auto expected = Expected(GetParam());
   const ScratchFolder folder;
   const std::string output = folder / GetParam().name;
-  const Times whole = Measure(folder, GetParam());
+  Times whole = Measure(folder, GetParam());
   const unsigned seed = std::random_device{}();
   std::printf("seed %u\n", seed);
   SCOPED_TRACE("seed " + std::to_string(seed));
@@ -196,7 +196,10 @@ TEST_P(Killed, AtRandomMomentsLeavesNoOutputAndTheNextRunCleansUp) {
       EXPECT_TRUE(BytesUnder(output) == expected);
       std::filesystem::remove_all(output);
     }
-    if (status == 0) continue;  // Too late.
+    if (status == 0) {  // Too late; it may be that the machine was busy when it was measured.
+      whole = Measure(folder, GetParam());
+      continue;
+    }
     EXPECT_FALSE(ended) << strata.Err();
     EXPECT_EQ(status, 1000 + SIGKILL) << strata.Err();
     ++kills;

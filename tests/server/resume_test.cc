@@ -7,8 +7,10 @@
 #include <csignal>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <random>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -70,12 +72,27 @@ class Resume : public testing::Test {
     }
     return {};
   }
+  /// A job that has a checkpoint and is stopped before its end. One that was quicker leaves no
+  /// output.
+  std::unique_ptr<Child> StoppedAfterCheckpoint(const std::vector<std::string>& arguments) const {
+    for (int tries = 0; tries < 20; ++tries) {
+      auto strata = std::make_unique<Child>(STRATA_BINARY, arguments);
+      EXPECT_TRUE(Until([&] { return !FolderWithCheckpoint().empty() || strata->EndsWithin(0); }))
+          << strata->Err();
+      strata->Signal(SIGSTOP);
+      if (!strata->EndsWithin(0) && !FolderWithCheckpoint().empty()) return strata;
+      strata->Signal(SIGCONT);
+      EXPECT_EQ(strata->Wait(), 0) << strata->Err();
+      fs::remove(output_);
+      fs::remove(summary_);
+    }
+    throw std::runtime_error("each job was done before it could be stopped");
+  }
   /// Kills a job that has a checkpoint; returns its folder.
-  std::string KillAfterCheckpoint(const std::vector<std::string>& more = {}) const {
-    Child strata(STRATA_BINARY, Arguments(more));
-    EXPECT_TRUE(Until([&] { return !FolderWithCheckpoint().empty(); })) << strata.Err();
-    strata.Signal(SIGKILL);
-    EXPECT_EQ(strata.Wait(), 1000 + SIGKILL) << "it was done before it could be killed";
+  std::string KillAfterCheckpoint() const {
+    const auto strata = StoppedAfterCheckpoint(Arguments());
+    strata->Signal(SIGKILL);
+    EXPECT_EQ(strata->Wait(), 1000 + SIGKILL);
     return FolderWithCheckpoint();
   }
   void ExpectDone(const Outcome& outcome, const std::string& expected) const {
@@ -179,11 +196,11 @@ TEST_F(Resume, StartsAnewWhenTheMeshHasChanged) {
 TEST_F(Resume, AlsoGoesOnAfterAnInterruptThatItWasToldOf) {
   for (const bool told : {true, false}) {
     SCOPED_TRACE(told);
-    Child strata(STRATA_BINARY, Arguments(told ? std::vector<std::string>{"--resume"}
-                                               : std::vector<std::string>{}));
-    ASSERT_TRUE(Until([&] { return !FolderWithCheckpoint().empty(); }));
-    strata.Signal(SIGTERM);
-    EXPECT_EQ(strata.Wait(), 128 + SIGTERM);
+    const auto strata = StoppedAfterCheckpoint(
+        Arguments(told ? std::vector<std::string>{"--resume"} : std::vector<std::string>{}));
+    strata->Signal(SIGTERM);
+    strata->Signal(SIGCONT);
+    EXPECT_EQ(strata->Wait(), 128 + SIGTERM);
     EXPECT_THAT(outputs_.Names(), IsEmpty());
     EXPECT_EQ(!FolderWithCheckpoint().empty(), told);
     if (!told) continue;
@@ -197,9 +214,7 @@ TEST_F(Resume, AlsoGoesOnAfterAnInterruptThatItWasToldOf) {
 
 TEST_F(Resume, LeavesALivingProcessItsFolder) {
   const std::string expected = Expected();
-  Child first(STRATA_BINARY, Arguments());
-  ASSERT_TRUE(Until([&] { return !FolderWithCheckpoint().empty(); }));
-  first.Signal(SIGSTOP);
+  const auto first = StoppedAfterCheckpoint(Arguments());
   for (const std::vector<std::string>& more :
        std::vector<std::vector<std::string>>{{}, {"--resume"}}) {
     const Outcome second = Sample(more);
@@ -208,8 +223,8 @@ TEST_F(Resume, LeavesALivingProcessItsFolder) {
     EXPECT_TRUE(ReadText(output_) == expected);
     EXPECT_FALSE(FolderWithCheckpoint().empty());
   }
-  first.Signal(SIGCONT);
-  EXPECT_EQ(first.Wait(), 0) << first.Err();
+  first->Signal(SIGCONT);
+  EXPECT_EQ(first->Wait(), 0) << first->Err();
   EXPECT_TRUE(ReadText(output_) == expected);
   EXPECT_THAT(scratch_.Names(), IsEmpty());
 }
@@ -251,10 +266,9 @@ TEST_F(Resume, ServesSharesOfAMeshToo) {
   ASSERT_EQ(test::Run(STRATA_BINARY, scan).status, 0);
   const std::string expected = ReadText(output_);
   fs::remove(output_);
-  Child strata(STRATA_BINARY, scan);
-  ASSERT_TRUE(Until([&] { return !FolderWithCheckpoint().empty() || fs::exists(output_); }));
-  strata.Signal(SIGKILL);
-  ASSERT_EQ(strata.Wait(), 1000 + SIGKILL);
+  const auto strata = StoppedAfterCheckpoint(scan);
+  strata->Signal(SIGKILL);
+  ASSERT_EQ(strata->Wait(), 1000 + SIGKILL);
   scan.push_back("--resume");
   const Outcome outcome = test::Run(STRATA_BINARY, scan);
   EXPECT_EQ(outcome.status, 0) << outcome.err;

@@ -191,8 +191,8 @@ TEST_F(ResultCacheTest, ProcessesComputeAResultOnceAndPassTheLeadOn) {
   // The database is away just as the lead ends.
   ASSERT_OK(store->database().Read().RunScript("ALTER TABLE flights RENAME TO hidden"));
   lead->lead.reset();
-  ASSERT_OK(store->database().Read().RunScript("ALTER TABLE hidden RENAME TO flights"));
   EXPECT_FALSE(waiting->wait->Wait(Milliseconds(0)));
+  ASSERT_OK(store->database().Read().RunScript("ALTER TABLE hidden RENAME TO flights"));
   cache().Look();
   EXPECT_TRUE(waiting->wait->Wait(std::chrono::seconds(20)));
   EXPECT_TRUE(theirs.Enter("key")->lead);
