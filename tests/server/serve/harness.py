@@ -102,6 +102,8 @@ class Server(Logged):
         listen += [] if any(o.startswith('--grpc') for o in options) else ['--grpc', '127.0.0.1:0']
         if '--scratch' not in options:
             listen += ['--scratch', str(self.path / 'scratch')]
+        for limit in ('--grace', '--header-timeout'):  # No client is slow by a busy machine.
+            listen += [] if limit in options else [limit, '45']
         self.begin('serve', *listen, *options, folder=self.path, environment=environment)
         started = wait_until(lambda: self.events('serving') or self.process.poll() is not None,
                              'the server to listen')
