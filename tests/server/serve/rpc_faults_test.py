@@ -427,4 +427,5 @@ def load_tests(loader, tests, pattern):
 
 
 if __name__ == '__main__':
+    harness.skip_without_grpc()
     harness.main()
