@@ -32,7 +32,7 @@ def running_scan(cluster, share):
         try:
             words = pathlib.Path(f'/proc/{process}/cmdline').read_bytes().split(b'\0')
             if (b'scan' in words[:2] and f'{share}/{SHARES}'.encode() in words
-                    and processor_seconds(process) > 0.3):
+                    and processor_seconds(process) > 0.1):
                 return process
         except OSError:
             pass  # It has ended.

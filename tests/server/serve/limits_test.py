@@ -169,7 +169,7 @@ class Drain(unittest.TestCase):
     def test_sigterm_lets_requests_end(self):
         server = Server()
         with concurrent.futures.ThreadPoolExecutor(1) as pool:
-            asked = pool.submit(server.curl, '/v1/samples?resolution=700&format=ply', body=CUBE)
+            asked = pool.submit(server.curl, '/v1/samples?resolution=500&format=ply', body=CUBE)
             child = int(harness.wait_until(server.children, 'a job to run')[0])
             os.kill(child, signal.SIGSTOP)  # It ends no sooner than the drain begins.
             server.process.send_signal(signal.SIGTERM)
