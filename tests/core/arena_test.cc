@@ -20,7 +20,7 @@ class Meeting {
     std::unique_lock lock(mutex_);
     ++here_;
     came_.notify_all();
-    came_.wait_for(lock, std::chrono::seconds(10), [this] { return here_ >= wanted_; });
+    came_.wait_for(lock, std::chrono::seconds(60), [this] { return here_ >= wanted_; });
   }
   int here() {
     const std::lock_guard lock(mutex_);

@@ -26,9 +26,9 @@ class SlowClients(ServerCase):
         def all_at_once():
             """Whether the last of them came before the first was cut off: not on a busy machine."""
             clients = [slow_client(i) for i in range(200)]
+            together = self.server.metric('strata_connections{protocol="http"}') >= 200
             self.assertEqual(self.server.curl('/livez').status, 200)
             self.assertEqual(self.server.curl('/v1/samples?resolution=5', body=CUBE).status, 200)
-            together = self.server.metric('strata_connections{protocol="http"}') >= 200
             for client in clients:
                 self.assertProblem(Answer.parse(read_to_end(client)), 408, 'too-slow')
                 client.close()
