@@ -24,11 +24,16 @@ enum class ErrorCode : std::uint8_t {
 };
 inline constexpr int kErrorCodeCount = 10;
 
-/// A failure: its kind, and a message for a person that names file, offset or line, what was found
+/// Tells failures of one code apart for callers who do something else about each. Told by its
+/// address: whoever makes such failures defines an object for each kind, as a constant.
+struct ErrorKind {};
+
+/// A failure: its code, and a message for a person that names file, offset or line, what was found
 /// and what was expected.
 struct Error {
   ErrorCode code = ErrorCode::kInternal;
   std::string message;
+  const ErrorKind* kind = nullptr;  ///< Null: its code says all. Lives as long as the program.
 };
 
 /// Either a `T` or an `Error`. Must be looked at.
@@ -39,8 +44,9 @@ class [[nodiscard]] Result : public tl::expected<T, Error> {
 };
 
 /// Makes the error side of a Result: `return Fail(ErrorCode::kIo, "…");`
-inline tl::unexpected<Error> Fail(ErrorCode code, std::string message) {
-  return tl::unexpected<Error>(Error{code, std::move(message)});
+inline tl::unexpected<Error> Fail(ErrorCode code, std::string message,
+                                  const ErrorKind* kind = nullptr) {
+  return tl::unexpected<Error>(Error{code, std::move(message), kind});
 }
 
 /// Passes the error of one Result on as the error of another.

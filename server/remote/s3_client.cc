@@ -24,7 +24,7 @@ bool IsRetryStatus(int status) {
 /// Refusals that other statuses carry and that pass.
 bool IsRetryCode(std::string_view code) {
   return code == "RequestTimeout" || code == "SlowDown" || code == "InternalError" ||
-         code == "OperationAborted";
+         code == "OperationAborted" || code == "ConditionalRequestConflict";
 }
 
 ErrorCode CodeOf(int status) {
@@ -225,8 +225,8 @@ S3Client::Outcome S3Client::Judge(const Call& call, HttpAnswer answer) const {
   if (answer.broken_off && !call.even_if_cancelled && cancelled()) {
     outcome.error = Cancelled().value();
   } else if (!answer.failure.empty()) {
-    outcome.error =
-        Error{ErrorCode::kIo, call.Shown() + ": " + WithoutSecrets(OneLine(answer.failure))};
+    outcome.error = Error{
+        ErrorCode::kIo, call.Shown() + ": " + WithoutSecrets(OneLine(answer.failure)), &kNoAnswer};
     outcome.retry = answer.transient;
   } else if (answer.status / 100 != 2) {
     const S3Refusal refusal = ParseRefusal(answer.body);
@@ -235,6 +235,7 @@ S3Client::Outcome S3Client::Judge(const Call& call, HttpAnswer answer) const {
     outcome.code = is_missing ? "NoSuchKey" : refusal.code;
     outcome.error = Describe(call, answer, refusal);
     outcome.retry = IsRetryStatus(answer.status) || IsRetryCode(refusal.code);
+    if (outcome.retry) outcome.error->kind = &kStoreBusy;
     outcome.retry_after = RetryAfter(answer);
   }
   outcome.answer = std::move(answer);

@@ -36,6 +36,14 @@ struct S3Uploads {
   std::int64_t now = -1;  ///< Seconds since 1970 by the store's clock; -1: it did not say.
 };
 
+/// Kinds of errors (kIo). Every other comes of what the store answered, of this object or of all.
+/// No answer, or none that can be understood: connections, TLS, names of hosts.
+inline constexpr ErrorKind kNoAnswer;
+/// The store answered that it cannot, for now: 408, 429, 5xx and the codes that say the same.
+inline constexpr ErrorKind kStoreBusy;
+/// A file of this machine could not be read or written: a full disk.
+inline constexpr ErrorKind kLocalFile;
+
 /// A client of one store. Every call does one thing and waits for it. Tries again what may pass
 /// (broken connections, 408, 429, 5xx, SlowDown), with growing pauses and `Retry-After`, at most
 /// `max_attempts` times; goes once to where the store redirects, signed anew.
@@ -79,6 +87,10 @@ class S3Client {
   Result<std::string> PutFile(const S3Name& name, int fd, std::uint64_t size,
                               std::uint64_t offset = 0);
   Result<std::string> Put(const S3Name& name, std::string_view bytes);
+  /// The same if there is no such object; false if there is one, possibly of a former try whose
+  /// answer was lost. A store that ignores `If-None-Match: *`, or refuses to know it, replaces what
+  /// is there.
+  Result<bool> PutNew(const S3Name& name, std::string_view bytes);
 
   /// An object that does not exist is deleted already.
   Result<void> Delete(const S3Name& name);
@@ -141,7 +153,8 @@ class S3Client {
   /// Tries until it is done. `code`, if not null, gets the store's word for a last error.
   Result<HttpAnswer> Perform(const Call& call, std::string* code = nullptr);
 
-  Result<std::string> PutWhole(const S3Name& name, const Payload& payload);
+  Result<std::string> PutWhole(const S3Name& name, const Payload& payload,
+                               std::vector<std::string> headers = {}, std::string* code = nullptr);
   struct Parts;
   Result<std::string> PutInParts(const S3Name& name, const Payload& file);
   Result<std::string> PutParts(const S3Name& name, const std::string& id, const Payload& file);

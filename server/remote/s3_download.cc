@@ -182,8 +182,10 @@ class S3Fetch {
   }
 
   bool FailDisk(int error) {
-    return Refuse("cannot write what is fetched at byte " + std::to_string(done_) + ": " +
-                  io::SystemReason(error));
+    Refuse("cannot write what is fetched at byte " + std::to_string(done_) + ": " +
+           io::SystemReason(error));
+    failed_->kind = &kLocalFile;
+    return false;
   }
 
   S3Client& client_;

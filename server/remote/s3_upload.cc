@@ -46,8 +46,10 @@ Result<Digests> DigestsOf(const S3Name& name, const Payload& payload) {
     if (count < 0 && errno == EINTR) continue;
     if (count <= 0) {
       const std::string why = count == 0 ? "the file ends" : io::SystemReason(errno);
-      return Fail(ErrorCode::kIo, name.Shown() + ": cannot read what is put there at byte " +
-                                      std::to_string(payload.offset + done) + ": " + why);
+      return Fail(ErrorCode::kIo,
+                  name.Shown() + ": cannot read what is put there at byte " +
+                      std::to_string(payload.offset + done) + ": " + why,
+                  &kLocalFile);
     }
     take({buffer.data(), static_cast<std::size_t>(count)});
     done += static_cast<std::uint64_t>(count);
@@ -93,15 +95,28 @@ Result<std::string> S3Client::Put(const S3Name& name, std::string_view bytes) {
   return PutWhole(name, Payload::Of(bytes));
 }
 
-Result<std::string> S3Client::PutWhole(const S3Name& name, const Payload& payload) {
+Result<bool> S3Client::PutNew(const S3Name& name, std::string_view bytes) {
+  std::string code;
+  const auto put = PutWhole(name, Payload::Of(bytes), {"if-none-match: *"}, &code);
+  if (put) return true;
+  if (code == "PreconditionFailed") return false;
+  if (code != "NotImplemented") return Forward(put);
+  const auto replaced = Put(name, bytes);
+  if (!replaced) return Forward(replaced);
+  return true;
+}
+
+Result<std::string> S3Client::PutWhole(const S3Name& name, const Payload& payload,
+                                       std::vector<std::string> headers, std::string* code) {
   const Result<Digests> digests = DigestsOf(name, payload);
   if (!digests) return Forward(digests);
   Call call;
   call.method = "PUT";
   call.name = name;
+  call.headers = std::move(headers);
   call.payload = payload;
   call.payload_sha256 = digests->sha256;
-  const Result<HttpAnswer> answer = Perform(call);
+  const Result<HttpAnswer> answer = Perform(call, code);
   if (!answer) return Forward(answer);
   std::string etag = WithoutQuotes(answer->Header("etag"));
   if (Contradicts(*answer, etag, digests->md5)) {

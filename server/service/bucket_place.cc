@@ -17,6 +17,7 @@ constexpr std::chrono::seconds kAskEvery{1};  // While it is away.
 constexpr std::chrono::seconds kFreshFor{2};  // An answer says that long that it is there.
 constexpr int kProbeAttempts = 2, kProbeStallSeconds = 5;
 constexpr const char* kProbe = "store-id";  // The mark of the store, which is there.
+constexpr std::uint64_t kMostProbeBytes = 4096;
 
 class BucketPlace final : public ObjectPlace {
  public:
@@ -37,32 +38,29 @@ class BucketPlace final : public ObjectPlace {
     if (auto open = Gate(); !open) return open;
     return AsVoid(Heard(client_.PutFile(NameOf(name), fd, size, offset)));
   }
-  Result<void> PutText(const std::string& name, std::string_view text) override {
-    if (auto open = Gate(); !open) return open;
-    return AsVoid(Heard(client_.Put(NameOf(name), text)));
+  Result<bool> PutTextIfNew(const std::string& name, std::string_view text) override {
+    if (auto open = Gate(); !open) return Forward(open);
+    return Heard(client_.PutNew(NameOf(name), text));
   }
   Result<std::optional<Version>> FindVersion(const std::string& name) override {
     if (auto open = Gate(); !open) return Forward(open);
-    const auto found = Heard(client_.Find(NameOf(name)));
+    const auto found = OfObject([&] { return client_.Find(NameOf(name)); });
     if (!found) return Forward(found);
     return *found ? std::optional(Version{(*found)->size, (*found)->etag})
                   : std::optional<Version>();
   }
   Result<void> Fetch(const std::string& name, int fd, std::uint64_t max_bytes) override {
     if (auto open = Gate(); !open) return open;
-    return AsVoid(OfObject(name, client_.GetToFile(NameOf(name), fd, max_bytes)));
+    return AsVoid(OfObject([&] { return client_.GetToFile(NameOf(name), fd, max_bytes); }));
   }
   Result<void> Read(const std::string& name, std::uint64_t offset, std::span<char> out,
                     const std::string& tag) override {
     if (auto open = Gate(); !open) return open;
-    auto read = client_.ReadAt(NameOf(name), offset, out, tag);
-    // What was replaced is no sign of a bucket that is away.
-    if (!read && !tag.empty() && read.error().code == ErrorCode::kConflict) return read;
-    return OfObject(name, std::move(read));
+    return OfObject([&] { return client_.ReadAt(NameOf(name), offset, out, tag); });
   }
   Result<void> Delete(const std::string& name) override {
     if (auto open = Gate(); !open) return open;
-    return Heard(client_.Delete(NameOf(name)));
+    return OfObject([&] { return client_.Delete(NameOf(name)); });
   }
   Result<void> List(
       const std::string& prefix,
@@ -139,6 +137,12 @@ class BucketPlace final : public ObjectPlace {
     return AsVoid(Heard(std::move(found)));
   }
 
+  /// Whether a failure is none of the bucket's.
+  static bool IsOurs(const Error& error) {
+    return error.code == ErrorCode::kCancelled || error.code == ErrorCode::kOverBudget ||
+           error.kind == &kLocalFile;
+  }
+
   /// Notes whether the bucket answered, and says of what did not succeed that it is away.
   template <class T>
   Result<T> Heard(Result<T> result) {
@@ -148,21 +152,31 @@ class BucketPlace final : public ObjectPlace {
       heard_ = SteadyClock::now();
       return result;
     }
-    const ErrorCode code = result.error().code;
-    if (code == ErrorCode::kCancelled || code == ErrorCode::kOverBudget) return result;
-    reason_ = {ErrorCode::kIo, std::string(kBucketAway) + result.error().message};
+    if (IsOurs(result.error())) return result;
+    reason_ = FailBucketAway(result.error().message).value();
     away_ = true;
     ask_again_ = SteadyClock::now() + kAskEvery;
     return tl::unexpected<Error>(reason_);
   }
 
-  /// The same of a reading: the object may be missing while the bucket is there.
-  template <class T>
-  Result<T> OfObject(const std::string& name, Result<T> result) {
-    if (result || result.error().code != ErrorCode::kNotFound) return Heard(std::move(result));
-    const auto found = Heard(client_.Find(NameOf(name)));
-    if (!found) return Forward(found);
-    return *found ? Heard(std::move(result)) : std::move(result);
+  /// The same of what concerns one object. A refusal may be one of everything (keys, a policy, no
+  /// bucket), or of this object: whether the mark can be read tells. Where the store could not, for
+  /// now, it is asked once more, so that others were read before and after: one that begins to
+  /// answer again in between is no refusal.
+  template <class Ask>
+  auto OfObject(const Ask& ask) -> decltype(ask()) {
+    for (bool again = true;; again = false) {
+      auto result = ask();
+      if (result || IsOurs(result.error()) || result.error().kind == &kNoAnswer) {
+        return Heard(std::move(result));
+      }
+      const auto mark = Heard(probe_.Get(NameOf(kProbe), kMostProbeBytes));
+      if (!mark) return Forward(mark);
+      if (result.error().kind == &kStoreBusy && again) continue;
+      // Another version than was asked for is none of the bucket's faults.
+      if (result.error().code == ErrorCode::kConflict) return result;
+      return FailObjectRefused(result.error().message + "; the bucket answers for others");
+    }
   }
 
   const S3Name prefix_;

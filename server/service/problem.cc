@@ -16,10 +16,12 @@ Problem ProblemOf(const Error& error) {
   if (IsStoreAway(error)) {
     Problem problem = ProblemOf(Refusal::kUnavailable, error.message, kAwayRetryAfter);
     problem.code = error.code;
+    problem.kind = error.kind;
     return problem;
   }
   const ExitCode& row = ExitCodeOf(error.code);
-  return {row.http_status, row.grpc_status, row.type, row.meaning, error.message, 0, error.code};
+  return {row.http_status, row.grpc_status, row.type, row.meaning, error.message, 0,
+          error.code,      error.kind};
 }
 
 Problem ProblemOf(Refusal refusal, std::string detail, int retry_after_s) {

@@ -20,6 +20,7 @@ struct Problem {
   int retry_after_s = 0;          ///< 0: none.
   /// The code of the Error it came from; of a refusal kInvalidArgument.
   ErrorCode code = ErrorCode::kInvalidArgument;
+  const ErrorKind* kind = nullptr;  ///< Likewise.
 };
 
 /// Either a T or why the client does not get one.

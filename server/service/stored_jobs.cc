@@ -40,8 +40,15 @@ JobQuery QueryOf(const v1::ListJobsRequest& request) {
 }
 
 /// Whether an attempt that went on from a former one's checkpoint may have failed by that: files
-/// that a crash of the machine damaged, or a process that they brought down.
-bool MayBeDamage(ErrorCode code) { return code == ErrorCode::kIo || code == ErrorCode::kInternal; }
+/// that a crash of the machine damaged, or a process that they brought down. Not what the database
+/// or the bucket had to say.
+bool MayBeDamage(const Error& error) {
+  return (error.code == ErrorCode::kIo || error.code == ErrorCode::kInternal) &&
+         !IsStoreAway(error) && !IsObjectRefused(error);
+}
+
+/// The error that a problem came from.
+Error ErrorOf(const Problem& problem) { return {problem.code, problem.detail, problem.kind}; }
 
 }  // namespace
 
@@ -222,7 +229,7 @@ void StoredService::RunClaimed(const JobStore::Claimed& claimed) {
   const bool goes_on = checkpoints_ && checkpoints_->Has(watch.checkpoint_key);
   auto outcome = RunAttempt(job, watch);
   const bool wanted = !fate.cancelled && !fate.lost && !stopping_;
-  if (!outcome && goes_on && wanted && MayBeDamage(outcome.error().code)) {
+  if (!outcome && goes_on && wanted && MayBeDamage(ErrorOf(outcome.error()))) {
     checkpoints_->Remove(watch.checkpoint_key);
     outcome = RunAttempt(job, watch);
   }
@@ -280,13 +287,13 @@ Result<void> StoredService::EndOnce(const JobClaim& claim, const Answer<Sampled>
     result.summary = JsonOf(outcome->summary);
     return as_void(jobs.Succeed(claim, *pin, std::move(result)));
   }
-  const Problem& problem = outcome.error();
+  const Error error = ErrorOf(outcome.error());
   if (fate.cancelled) return as_void(jobs.MarkCancelled(claim));
-  const bool away = problem.code == ErrorCode::kIo && problem.http_status == 503;
-  if (stopping_ || away || problem.code == ErrorCode::kCancelled) {
+  if (stopping_ || IsStoreAway(error) || error.code == ErrorCode::kCancelled) {
     return as_void(jobs.Release(claim));
   }
-  return as_void(jobs.MarkFailed(claim, {problem.code, problem.detail}));
+  if (IsObjectRefused(error)) return as_void(jobs.TryAgain(claim, error));
+  return as_void(jobs.MarkFailed(claim, error));
 }
 
 }  // namespace strata::server

@@ -130,7 +130,11 @@ void StoredService::TendBucket() {
     lock.unlock();
     const auto done = store_->TendBucket();
     if (stopping_) return;
-    if (!done && !away) Log(LogLevel::kWarning, "bucket_away", {{"reason", done.error().message}});
+    const bool refused = !done && IsObjectRefused(done.error());
+    if (!done && !away) {
+      Log(LogLevel::kWarning, refused ? "bucket_refuses" : "bucket_away",
+          {{"reason", done.error().message}});
+    }
     if (done && away) Log(LogLevel::kInfo, "bucket_back", {});
     away = !done;
     lock.lock();

@@ -60,7 +60,9 @@ Result<void> BlobStore::RecoverBucket() {
     if (auto committed = session->Commit(); !committed) return committed;
   }
   if (auto aborted = AbortUnfinished({}); !aborted) return aborted;
-  return SweepGarbage();
+  auto swept = SweepGarbage();
+  if (!swept && !IsObjectRefused(swept.error())) return swept;
+  return {};
 }
 
 // As in a folder: the objects first, then who lives, then the rows.
@@ -87,11 +89,15 @@ Result<void> BlobStore::RemoveBucketLeftovers() {
                                   [&](const Row& row) { objects.erase(row.Text(0)); });
     if (!rows) return Forward(rows);
   }
+  Result<void> result;
   for (const std::string& name : objects) {
-    if (auto deleted = bucket_.place->Delete(name); !deleted) return deleted;
-    ++recovery_.orphan_files;
+    auto deleted = bucket_.place->Delete(name);
+    if (!deleted && !IsObjectRefused(deleted.error())) return deleted;
+    if (!deleted && result) result = deleted;
+    if (deleted) ++recovery_.orphan_files;
   }
-  return AbortUnfinished(alive);
+  if (auto aborted = AbortUnfinished(alive); !aborted) return aborted;
+  return result;
 }
 
 // Whoever is dead can complete nothing that a row would name.
@@ -124,8 +130,10 @@ Result<BlobPin> BlobStore::AdoptInBucket(const Adoption& file, DiskShare& share)
   if (!known) return Forward(known);
   if (*known) {
     const auto there = bucket_.place->Find(ObjectOf(file.hash, (*known)->file));
-    if (!there) return Forward(there);
-    const auto touched = *there == file.size ? Touch(file.hash, 0) : Result<bool>(false);
+    if (!there && !IsObjectRefused(there.error())) return Forward(there);
+    // Instead of one that is not to be had, or is another, a new one is put.
+    const bool sound = there && *there == file.size;
+    const auto touched = sound ? Touch(file.hash, 0) : Result<bool>(false);
     if (!touched) return Forward(touched);
     if (*touched) {
       bucket_.cache->Keep(file.folder, file.name, file.hash, file.size);
@@ -169,11 +177,14 @@ Result<BlobReader> BlobStore::OpenInBucket(const std::string& hash, bool as_file
     return reader;
   }
   if (as_file) {
-    auto copy = bucket_.cache->Get(hash, size,
-                                   [&](int fd) { return bucket_.place->Fetch(object, fd, size); });
-    if (!copy && (copy.error().code == ErrorCode::kNotFound ||
-                  copy.error().code == ErrorCode::kCorruptInput)) {
-      return Fail(ErrorCode::kIo, "damaged: " + copy.error().message);
+    auto copy = bucket_.cache->Get(hash, size, [&](int fd) -> Result<void> {
+      auto fetched = bucket_.place->Fetch(object, fd, size);
+      const bool larger = !fetched && fetched.error().code == ErrorCode::kOverBudget;
+      if (larger) return Fail(ErrorCode::kCorruptInput, fetched.error().message);
+      return fetched;
+    });
+    if (!copy && copy.error().code == ErrorCode::kCorruptInput) {
+      return FailObjectRefused(bucket_.place->Shown(object) + ": damaged: " + copy.error().message);
     }
     if (!copy) return Forward(copy);
     reader.fd = std::move(copy->fd);
@@ -183,9 +194,9 @@ Result<BlobReader> BlobStore::OpenInBucket(const std::string& hash, bool as_file
   const auto there = bucket_.place->Find(object);
   if (!there) return Forward(there);
   if (*there != size) {
-    return Fail(ErrorCode::kIo, bucket_.place->Shown(object) + ": damaged: " +
-                                    (*there ? std::to_string(**there) + " bytes" : "nothing") +
-                                    " found, expected " + std::to_string(size) + " bytes");
+    return FailObjectRefused(bucket_.place->Shown(object) + ": damaged: " +
+                             (*there ? std::to_string(**there) + " bytes" : "nothing") +
+                             " found, expected " + std::to_string(size) + " bytes");
   }
   // A reading may take longer than the grace of what nothing refers to.
   auto touched = std::chrono::steady_clock::now();
@@ -234,12 +245,16 @@ Result<void> BlobStore::SweepGarbage() {
   auto listed = database_.Read().Query("SELECT name FROM blob_garbage LIMIT 1000",
                                        [&](const Row& row) { names.push_back(row.Text(0)); });
   if (!listed) return Forward(listed);
+  Result<void> result;
   for (const std::string& name : names) {
-    if (auto deleted = bucket_.place->Delete(name); !deleted) return deleted;
+    auto deleted = bucket_.place->Delete(name);
+    if (!deleted && !IsObjectRefused(deleted.error())) return deleted;
+    if (!deleted && result) result = deleted;
+    if (!deleted) continue;  // Others need not wait for it.
     auto done = database_.Read().Run("DELETE FROM blob_garbage WHERE name = ?", name);
     if (!done) return Forward(done);
   }
-  return {};
+  return result;
 }
 
 }  // namespace strata::server

@@ -2,6 +2,7 @@
 
 #include <fcntl.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -22,8 +23,9 @@ constexpr std::chrono::seconds kPatience{30};
 
 }  // namespace
 
-Result<std::unique_ptr<BlobCache>> BlobCache::Open(Fd folder, std::uint64_t limit_bytes) {
-  std::unique_ptr<BlobCache> cache(new BlobCache(std::move(folder), limit_bytes));
+Result<std::unique_ptr<BlobCache>> BlobCache::Open(Fd folder, std::uint64_t limit_bytes,
+                                                   std::uint64_t keep_free_bytes) {
+  std::unique_ptr<BlobCache> cache(new BlobCache(std::move(folder), limit_bytes, keep_free_bytes));
   if (auto taken = cache->TakeUp(); !taken) return Forward(taken);
   return cache;
 }
@@ -87,13 +89,28 @@ bool BlobCache::HasRoomLocked(std::uint64_t size) {
   return true;
 }
 
+// A full disk is nobody's fault who has copies open: it is told at once.
+Result<void> BlobCache::MakeRoomOnDisk(std::uint64_t size) {
+  struct statvfs disk;
+  // Where it cannot be asked, the writing itself will tell.
+  while (fstatvfs(folder_.get(), &disk) == 0) {
+    const std::uint64_t free = std::uint64_t{disk.f_bavail} * disk.f_frsize;
+    if (free >= keep_free_ && size <= free - keep_free_) break;
+    if (EvictOneLocked()) continue;
+    return Fail(ErrorCode::kIo, "cache: " + std::to_string(size) + " bytes wanted, " +
+                                    std::to_string(free) + " free on the disk, of which " +
+                                    std::to_string(keep_free_) + " are kept free");
+  }
+  return {};
+}
+
 Result<void> BlobCache::MakeRoom(std::unique_lock<std::mutex>& lock, std::uint64_t size) {
   const auto deadline = std::chrono::steady_clock::now() + kPatience;
   while (!HasRoomLocked(size)) {
     if (std::chrono::steady_clock::now() > deadline) {
-      return Fail(ErrorCode::kIo, std::string(kBucketAway) + "its cache has no room for " +
-                                      std::to_string(size) + " bytes: all of its " +
-                                      std::to_string(limit_) + " are in use; come again");
+      return FailBucketAway("its cache has no room for " + std::to_string(size) +
+                            " bytes: all of its " + std::to_string(limit_) +
+                            " are in use; come again");
     }
     changed_.wait_for(lock, kTick);
     lock.unlock();
@@ -101,7 +118,7 @@ Result<void> BlobCache::MakeRoom(std::unique_lock<std::mutex>& lock, std::uint64
     lock.lock();
     if (gone) return Cancelled();
   }
-  return {};
+  return MakeRoomOnDisk(size);
 }
 
 std::optional<BlobCache::File> BlobCache::OpenLocked(const std::string& hash, Entry& entry) {

@@ -60,8 +60,9 @@ Result<void> ClaimBucket(Database& database, ObjectPlace* place) {
   auto mark = MarkOf(*place);
   if (!mark) return Forward(mark);
   if (mark->empty() && !kept->in_bucket) {
-    if (auto put = place->PutText(kMark, kept->id); !put) return put;
-    mark = MarkOf(*place);  // Of two that come at once the later one stays.
+    const auto put = place->PutTextIfNew(kMark, kept->id);
+    if (!put) return Forward(put);
+    mark = MarkOf(*place);  // Of two that come at once one was first; without such a step, last.
     if (!mark) return Forward(mark);
   }
   if (*mark != kept->id) {

@@ -149,10 +149,13 @@ class Database {
   virtual std::unique_ptr<Listener> Listen(Listening listening) = 0;
 };
 
-/// Whether the database could not be reached, or did not answer in time: kIo, and trying again
-/// later may help.
-bool IsDatabaseAway(const Error& error);
-/// How such an error's message begins.
-inline constexpr std::string_view kDatabaseAway = "the database is away: ";
+/// Of errors that a database is away: it could not be reached, or did not answer in time. Code kIo;
+/// trying again later may help.
+inline constexpr ErrorKind kDatabaseAway;
+inline bool IsDatabaseAway(const Error& error) { return error.kind == &kDatabaseAway; }
+/// Such an error, which says so in front of `why`.
+inline tl::unexpected<Error> FailDatabaseAway(const std::string& why) {
+  return Fail(ErrorCode::kIo, "the database is away: " + why, &kDatabaseAway);
+}
 
 }  // namespace strata::server

@@ -175,7 +175,8 @@ Result<Job> JobStore::MarkCancelled(const JobClaim& claim) {
   });
 }
 
-void JobStore::Requeue(Job& job, Timestamp now, const std::string& why) const {
+void JobStore::Requeue(Job& job, Timestamp now, const std::string& why,
+                       const std::optional<Error>& error) const {
   if (job.cancel_requested) return Finish(job, JobState::kCancelled, now, why);
   // A process that gave it back did nothing wrong to it.
   const auto lost = 1 + std::ranges::count_if(job.history, [](const JobAttempt& attempt) {
@@ -183,9 +184,10 @@ void JobStore::Requeue(Job& job, Timestamp now, const std::string& why) const {
                     });
   if (limits_.max_attempts > 0 && why != kReleased && lost >= limits_.max_attempts) {
     Finish(job, JobState::kFailed, now, why);
-    job.error =
-        Error{ErrorCode::kInternal, "the job was begun " + std::to_string(job.attempts) +
-                                        " times and never came to an end, which is the limit"};
+    const std::string begun = "the job was begun " + std::to_string(job.attempts) + " times";
+    job.error = error ? Error{error->code, error->message + "; " + begun + ", which is the limit"}
+                      : Error{ErrorCode::kInternal,
+                              begun + " and never came to an end, which is the limit"};
     return;
   }
   Finish(job, JobState::kQueued, now, why);
@@ -196,6 +198,13 @@ void JobStore::Requeue(Job& job, Timestamp now, const std::string& why) const {
 Result<Job> JobStore::Release(const JobClaim& claim) {
   return End(claim, [&](Job& job, Timestamp now) -> Result<void> {
     Requeue(job, now, kReleased);
+    return {};
+  });
+}
+
+Result<Job> JobStore::TryAgain(const JobClaim& claim, const Error& error) {
+  return End(claim, [&](Job& job, Timestamp now) -> Result<void> {
+    Requeue(job, now, "failed: " + error.message, error);
     return {};
   });
 }

@@ -107,6 +107,9 @@ class JobStore {
   Result<Job> MarkCancelled(const JobClaim& claim);
   /// Puts the job back into the queue at its old place: the process is about to end.
   Result<Job> Release(const JobClaim& claim);
+  /// The same after an attempt that failed and counts: the last of JobLimits::max_attempts ends the
+  /// job as failed, with `error`.
+  Result<Job> TryAgain(const JobClaim& claim, const Error& error);
 
   /// Jobs whose lease has run out are queued again. Returns how many. Errors: kIo.
   Result<std::size_t> ExpireLeases();
@@ -148,7 +151,9 @@ class JobStore {
   Result<std::uint64_t> CountState(JobState state) const;
   Result<Job> End(const JobClaim& claim, const Change& change);
   Result<std::size_t> RequeueLost(const std::string& why);
-  void Requeue(Job& job, Timestamp now, const std::string& why) const;
+  /// `error`: of the attempt, if it is what a last one leaves.
+  void Requeue(Job& job, Timestamp now, const std::string& why,
+               const std::optional<Error>& error = {}) const;
   static void Finish(Job& job, JobState state, Timestamp now, const std::string& why);
   void Count(JobState from, JobState to);
 

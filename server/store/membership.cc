@@ -111,10 +111,8 @@ Result<void> CheckAlive(Session& session, std::string_view file_name) {
       maker);
   if (!asked) return Forward(asked);
   if (alive) return {};
-  return Fail(
-      ErrorCode::kIo,
-      std::string(kDatabaseAway) +
-          "this process was away for longer than its lease: what it had begun is void; ask again");
+  return FailDatabaseAway(
+      "this process was away for longer than its lease: what it had begun is void; ask again");
 }
 
 }  // namespace strata::server

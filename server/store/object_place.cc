@@ -17,10 +17,6 @@ Result<std::optional<std::uint64_t>> ObjectPlace::Find(const std::string& name) 
   return *found ? std::optional((*found)->size) : std::optional<std::uint64_t>();
 }
 
-bool IsBucketAway(const Error& error) {
-  return error.code == ErrorCode::kIo && error.message.starts_with(kBucketAway);
-}
-
 bool IsStoreAway(const Error& error) { return IsBucketAway(error) || IsDatabaseAway(error); }
 
 Meanwhile::Meanwhile(std::function<bool()> gone)

@@ -7,6 +7,7 @@
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 #include <vector>
 
 #include "core/result.h"
@@ -19,8 +20,8 @@ struct UnfinishedPut {
 };
 
 /// Objects below one prefix of a bucket. Names are the stores' own: letters, digits, '-', '.', '/'.
-/// Threads: any; every call waits for its answer. Errors of all: IsBucketAway, unless said
-/// otherwise.
+/// Threads: any; every call waits for its answer. Errors of all: IsBucketAway, and of those that
+/// look at, fetch or delete an object IsObjectRefused, unless said otherwise.
 class ObjectPlace {
  public:
   virtual ~ObjectPlace() = default;
@@ -31,7 +32,9 @@ class ObjectPlace {
   /// Errors: also kIo (the file), kCancelled (see Meanwhile).
   virtual Result<void> Put(const std::string& name, int fd, std::uint64_t offset,
                            std::uint64_t size) = 0;
-  virtual Result<void> PutText(const std::string& name, std::string_view text) = 0;
+  /// Puts `text` if there is no such object, in one step; false if there is one. A store that knows
+  /// no such step puts it in any case: true then says little.
+  virtual Result<bool> PutTextIfNew(const std::string& name, std::string_view text) = 0;
   struct Version {
     std::uint64_t size = 0;
     std::string tag;  ///< Another one for another content.
@@ -40,11 +43,11 @@ class ObjectPlace {
   virtual Result<std::optional<Version>> FindVersion(const std::string& name) = 0;
   /// Its size alone.
   Result<std::optional<std::uint64_t>> Find(const std::string& name);
-  /// Writes the object to the empty file `fd`. Errors: also kNotFound, kOverBudget (larger than
-  /// `max_bytes`), kCancelled.
+  /// Writes the object to the empty file `fd`. Errors: also kOverBudget (larger than `max_bytes`),
+  /// kIo (the file: a full disk is not the bucket's), kCancelled.
   virtual Result<void> Fetch(const std::string& name, int fd, std::uint64_t max_bytes) = 0;
-  /// Fills `out` from byte `offset`; with a `tag`, of that version. Errors: also kNotFound,
-  /// kConflict (another version is there now).
+  /// Fills `out` from byte `offset`; with a `tag`, of that version. Errors: also kConflict (another
+  /// version is there now).
   virtual Result<void> Read(const std::string& name, std::uint64_t offset, std::span<char> out,
                             const std::string& tag) = 0;
   /// What does not exist is deleted already.
@@ -62,12 +65,24 @@ class ObjectPlace {
   virtual Result<void> Check() = 0;
 };
 
-/// How an error's message begins when the bucket could not be reached or refuses: kIo, and trying
-/// again later may help.
-inline constexpr std::string_view kBucketAway = "the bucket is away: ";
-bool IsBucketAway(const Error& error);
+/// Of errors that the bucket could not be reached, or refuses whatever it is asked for. Code kIo;
+/// trying again later may help.
+inline constexpr ErrorKind kBucketAway;
+inline bool IsBucketAway(const Error& error) { return error.kind == &kBucketAway; }
+/// Such an error, which says so in front of `why`.
+inline tl::unexpected<Error> FailBucketAway(const std::string& why) {
+  return Fail(ErrorCode::kIo, "the bucket is away: " + why, &kBucketAway);
+}
 /// Whether the bucket or the database is away.
 bool IsStoreAway(const Error& error);
+
+/// Of errors that one object cannot be had, while the bucket answers for others: it is missing,
+/// forbidden, or not what was put. Code kIo; trying again may help, but not for ever.
+inline constexpr ErrorKind kObjectRefused;
+inline bool IsObjectRefused(const Error& error) { return error.kind == &kObjectRefused; }
+inline tl::unexpected<Error> FailObjectRefused(std::string why) {
+  return Fail(ErrorCode::kIo, std::move(why), &kObjectRefused);
+}
 
 /// While it lives, `gone` is asked about once a second by what this thread waits for in a bucket;
 /// true ends it with kCancelled. Also for what must be done meanwhile, such as heartbeats.

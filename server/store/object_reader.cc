@@ -37,9 +37,8 @@ Result<void> ObjectReader::Load(std::uint64_t offset, std::size_t wanted) {
   auto read = place_.Read(object_.name, offset, range_, object_.tag);
   if (!read) {
     range_.clear();
-    const ErrorCode code = read.error().code;
-    if (code != ErrorCode::kNotFound && code != ErrorCode::kConflict) return read;
-    return Fail(ErrorCode::kIo, read.error().message);  // Who reads was told that it is there.
+    if (read.error().code != ErrorCode::kConflict) return read;
+    return FailObjectRefused(read.error().message);  // Who reads was told that it is there.
   }
   if (object_.hash.empty() || offset != hashed_) return {};
   hasher_.Update(range_);
@@ -48,8 +47,8 @@ Result<void> ObjectReader::Load(std::uint64_t offset, std::size_t wanted) {
   const std::string found = hasher_.HexDigest();
   if (found == object_.hash) return {};
   range_.clear();
-  return Fail(ErrorCode::kIo, place_.Shown(object_.name) + ": damaged: SHA-256 " + found +
-                                  " found, expected " + object_.hash);
+  return FailObjectRefused(place_.Shown(object_.name) + ": damaged: SHA-256 " + found +
+                           " found, expected " + object_.hash);
 }
 
 }  // namespace strata::server

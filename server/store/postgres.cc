@@ -137,8 +137,8 @@ Result<PgLease> PostgresDatabase::Acquire() {
   {
     std::unique_lock lock(mutex_);
     if (!given_back_.wait_for(lock, kPlaceTimeout, [this] { return in_use_ < limit_; })) {
-      return Fail(ErrorCode::kIo, std::string(kDatabaseAway) + target_.name() + ": all " +
-                                      std::to_string(limit_) + " connections are busy");
+      return FailDatabaseAway(target_.name() + ": all " + std::to_string(limit_) +
+                              " connections are busy");
     }
     ++in_use_;
     while (!idle_.empty()) {

@@ -102,8 +102,7 @@ Result<std::unique_ptr<PgConnection>> PgConnection::Open(const PgTarget& target)
 tl::unexpected<Error> PgConnection::FailLost(const std::string& what) const {
   const std::string reason =
       handle_ == nullptr ? "out of memory" : OneLine(PQerrorMessage(handle_));
-  return Fail(ErrorCode::kIo,
-              std::string(kDatabaseAway) + target_.name() + ": " + what + ": " + reason);
+  return FailDatabaseAway(target_.name() + ": " + what + ": " + reason);
 }
 
 Result<PgResult> PgConnection::Check(PgResult result, std::string_view sql) {
@@ -116,7 +115,7 @@ Result<PgResult> PgConnection::Check(PgResult result, std::string_view sql) {
   const std::string message =
       target_.name() + ": " + OneLine(PQresultErrorField(result.get(), PG_DIAG_MESSAGE_PRIMARY)) +
       " (SQLSTATE " + state + ", in: " + std::string(sql.substr(0, 80)) + ")";
-  if (!code) return Fail(ErrorCode::kIo, std::string(kDatabaseAway) + message);
+  if (!code) return FailDatabaseAway(message);
   return Fail(*code, message);
 }
 

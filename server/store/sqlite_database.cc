@@ -204,8 +204,4 @@ Result<std::unique_ptr<Database>> Database::Open(const std::string& path) {
   return Open(path, kClock);
 }
 
-bool IsDatabaseAway(const Error& error) {
-  return error.code == ErrorCode::kIo && error.message.starts_with(kDatabaseAway);
-}
-
 }  // namespace strata::server

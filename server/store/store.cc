@@ -39,7 +39,9 @@ Result<void> Store::OpenBucket() {
     if (!opened) return opened;
     auto folder = folder_->OpenCache();
     if (!folder) return Forward(folder);
-    auto cached = Take(BlobCache::Open(*std::move(folder), options_.blobs.cache_bytes), cache_);
+    auto cached = Take(BlobCache::Open(*std::move(folder), options_.blobs.cache_bytes,
+                                       options_.blobs.keep_free_bytes),
+                       cache_);
     if (!cached) return cached;
   }
   return ClaimBucket(*database_, place_.get());
@@ -155,11 +157,13 @@ Result<void> Store::TendBucket() {
   if (!place_) return {};
   if (auto checked = place_->Check(); !checked) return checked;
   if (auto removed = uploads_->RemoveExpired(); !removed) return Forward(removed);
-  if (auto swept = blobs_->SweepGarbage(); !swept) return swept;
-  if (!sweep_is_due_.exchange(false)) return {};
+  auto swept = blobs_->SweepGarbage();
+  if (!swept && !IsObjectRefused(swept.error())) return swept;
+  if (!sweep_is_due_.exchange(false)) return swept;
   auto removed = blobs_->RemoveLeftovers();
-  if (!removed) sweep_is_due_ = true;
-  return removed;
+  // What is refused stays so for a while, and a list costs money.
+  if (!removed && !IsObjectRefused(removed.error())) sweep_is_due_ = true;
+  return removed ? swept : removed;
 }
 
 }  // namespace strata::server

@@ -78,7 +78,7 @@ Result<void> UploadPieces::Fetch(const std::string& upload, int fd, std::uint64_
     for (std::uint64_t done = 0; done < piece.size; done += buffer.size()) {
       const std::size_t now = std::min<std::uint64_t>(buffer.size(), piece.size - done);
       auto read = blobs_.bucket().place->Read(piece.name, done, {buffer.data(), now}, {});
-      if (!read) return Fail(ErrorCode::kIo, read.error().message);
+      if (!read) return Fail(ErrorCode::kIo, read.error().message, read.error().kind);
       std::uint64_t written = at + done;
       if (lseek(fd, static_cast<off_t>(written), SEEK_SET) < 0) {
         return FailSystem("uploads/" + upload, "cannot be written", errno);

@@ -73,7 +73,7 @@ class ClientTest(unittest.TestCase):
 
     def put(self, key, body, bucket='bucket'):
         self.store.backend._put(
-            type('Put', (), {'bucket': bucket, 'key': key, 'body': body})())
+            type('Put', (), {'bucket': bucket, 'key': key, 'body': body, 'headers': {}})())
 
     def file(self, size, name='file'):
         seed = random.randrange(1 << 32)
@@ -86,6 +86,29 @@ class ClientTest(unittest.TestCase):
         target = self.folder / 'fetched'
         self.tool('get', f's3://bucket/{key}', target, **more)
         return target.read_bytes()
+
+
+class Conditions(ClientTest):
+    def test_only_one_of_several_puts_what_nobody_has_put(self):
+        new = ('new', 's3://bucket/key')
+        self.assertEqual(self.tool(*new, 'first'), 'put\n')
+        self.assertEqual(self.tool(*new, 'second'), 'there\n')
+        self.assertEqual(self.objects['bucket', 'key'][0], b'first')
+        self.store.fail(lambda r: r.method == 'PUT',
+                        lambda *_: refusal(409, 'ConditionalRequestConflict'))
+        self.assertEqual(self.tool(*new, 'third'), 'there\n', 'a conflict passes')
+
+    def test_a_store_without_conditions_gets_a_plain_put(self):
+        self.put('key', b'former')
+        self.store.fail(lambda r: 'if-none-match' in r.headers,
+                        lambda *_: refusal(501, 'NotImplemented'))
+        self.assertEqual(self.tool('new', 's3://bucket/key', 'text'), 'put\n')
+        self.assertEqual(self.objects['bucket', 'key'][0], b'text')
+
+    def test_what_is_refused_for_another_reason_is_not_put(self):
+        self.store.fail(lambda r: r.method == 'PUT', lambda *_: refusal(403, 'AccessDenied'))
+        self.assertIn('AccessDenied', self.refused(3, 'new', 's3://bucket/key', 'text'))
+        self.assertEqual(self.objects, {})
 
 
 class Ranges(ClientTest):

@@ -54,6 +54,12 @@ Result<void> Run(const Arguments& arguments) {
       return Result<void>();
     });
   }
+  if (operation == "new") {  // URL TEXT
+    const auto put = client.PutNew(*name, arguments.at(2));
+    if (!put) return Forward(put);
+    std::puts(*put ? "put" : "there");
+    return {};
+  }
   if (operation.starts_with("put")) return Put(client, *name, arguments.at(2));
   if (operation.starts_with("delete")) return client.Delete(*name);
   if (operation.starts_with("get")) {

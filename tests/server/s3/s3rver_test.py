@@ -70,6 +70,12 @@ class S3rverTest(ClientTest):
         self.tool('delete%', f's3://bucket/{percent_encoded(keys[1])}')
         self.assertEqual(len(self.tool('list', 's3://bucket').splitlines()), len(keys) - 1)
 
+    def test_it_does_not_mind_conditions_of_a_put(self):
+        """Of which docs/adr/0026-blobs-in-a-bucket.md says what follows."""
+        for text in ('first', 'second'):
+            self.assertEqual(self.tool('new', 's3://bucket/key', text), 'put\n')
+        self.assertEqual(self.fetch('key'), b'second')
+
     def test_lists_of_more_than_a_thousand_keys_are_whole(self):
         keys = [f'{i:05}' for i in range(1205)]
         folder = pathlib.Path(self.server.folder.name) / 'bucket' / 'many'

@@ -58,6 +58,7 @@ class Memory:
 
     def __init__(self, page=1000):
         self.objects, self.uploads, self.page = {}, {}, page
+        self.conditional = True  # Whether a put minds If-None-Match.
         self.lock = threading.Lock()
         self.serial = 0
 
@@ -100,6 +101,10 @@ class Memory:
                            f'{rows}</ListBucketResult>')
 
     def _put(self, request):
+        condition = request.headers.get('if-none-match')
+        assert condition in (None, '*'), condition
+        if condition and self.conditional and (request.bucket, request.key) in self.objects:
+            return refusal(412, 'PreconditionFailed', 'At least one of the preconditions did not hold')
         etag = hashlib.md5(request.body).hexdigest()
         self.objects[request.bucket, request.key] = request.body, etag
         return Answer(200, headers={'ETag': f'"{etag}"'})

@@ -23,11 +23,11 @@ namespace {
 
 class BlobCacheTest : public testing::Test {
  protected:
-  void Open(std::uint64_t limit) {
+  void Open(std::uint64_t limit, std::uint64_t keep_free = 0) {
     cache.reset();
     auto inner = OpenFolder(AT_FDCWD, folder / "cache");
     ASSERT_OK(inner);
-    auto opened = BlobCache::Open(*std::move(inner), limit);
+    auto opened = BlobCache::Open(*std::move(inner), limit, keep_free);
     ASSERT_OK(opened);
     cache = *std::move(opened);
   }
@@ -144,13 +144,26 @@ TEST_F(BlobCacheTest, WrongBytesAreRefusedAndLeaveNothing) {
 TEST_F(BlobCacheTest, AFailedFetchLeavesNothingAndTheNextOneTriesAgain) {
   Open(1000);
   const std::string bytes = Bytes(300, 1);
-  const auto failed = cache->Get(HashOf(bytes), bytes.size(), [](int) -> Result<void> {
-    return Fail(ErrorCode::kIo, std::string(kBucketAway) + "test");
-  });
+  const auto failed = cache->Get(HashOf(bytes), bytes.size(),
+                                 [](int) -> Result<void> { return FailBucketAway("test"); });
   EXPECT_FAILS(ErrorCode::kIo, failed);
   EXPECT_TRUE(IsBucketAway(failed.error())) << Why(failed);
   EXPECT_EQ(cache->used_bytes(), 0u);
   EXPECT_OK(Get(bytes));
+}
+
+TEST_F(BlobCacheTest, AFullDiskIsToldAsOneOnceAllIdleCopiesAreGone) {
+  Open(1000);
+  const std::string idle = Bytes(300, 1), more = Bytes(300, 2);
+  ASSERT_OK(Get(idle));
+  Open(1000, UINT64_MAX);  // No disk has that much free.
+  const auto kept = cache->Get(HashOf(idle), idle.size(), [](int) { return Result<void>(); });
+  EXPECT_OK(kept) << "what is there needs no space";
+  const auto refused = Get(more);
+  EXPECT_FAILS(ErrorCode::kIo, refused);
+  EXPECT_FALSE(IsBucketAway(refused.error()));
+  EXPECT_NE(refused.error().message.find("are kept free"), std::string::npos) << Why(refused);
+  EXPECT_EQ(Names().size(), 1u) << "the copy that is open";
 }
 
 TEST_F(BlobCacheTest, WhatAFormerProcessLeftIsHashedBeforeItsFirstUse) {

@@ -193,6 +193,25 @@ TEST_F(JobStoreTest, AJobThatNeverEndsHasFailedAtLast) {
   EXPECT_TRUE(NothingToClaim());
 }
 
+TEST_F(JobStoreTest, AJobThatIsTriedAgainFailsWithTheReasonOfItsLastTry) {
+  options.jobs.max_attempts = 2;
+  Open();
+  const std::string id = Create();
+  ASSERT_OK(jobs().Release(Claim().claim));  // It costs nothing.
+  ASSERT_OK(jobs().TryAgain(Claim().claim, {ErrorCode::kIo, "first"}));
+  EXPECT_EQ(StateOf(id), JobState::kQueued);
+  ASSERT_OK(jobs().Release(Claim().claim));
+  ASSERT_OK(jobs().TryAgain(Claim().claim, {ErrorCode::kIo, "second"}));
+  EXPECT_EQ(StateOf(id), JobState::kFailed);
+  EXPECT_TRUE(NothingToClaim());
+  const Job job = *jobs().Get(id);
+  EXPECT_EQ(job.error->code, ErrorCode::kIo);
+  EXPECT_TRUE(job.error->message.starts_with("second; ")) << job.error->message;
+  ASSERT_EQ(job.history.size(), 4u);
+  EXPECT_EQ(job.history[1].why, "failed: first");
+  EXPECT_EQ(job.history[3].why, "failed: second");
+}
+
 TEST_F(JobStoreTest, ALeaseRunsOutWithoutAHeartbeatAndNotBefore) {
   const std::string id = Create();
   const auto claimed = Claim();
