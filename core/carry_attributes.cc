@@ -424,18 +424,21 @@ Result<std::vector<std::string>> LeaveOutAbsent(MeshReader& reader, const Sample
   std::vector<std::string> left_out;
   std::vector<std::size_t> kept;
   for (const std::size_t n : plan.wanted) {
-    const auto checked = reader.CheckAttribute(n, context);
     const MeshAttribute& attribute = reader.attributes()[n];
-    const auto names_it = [&](const std::string& name) {
+    const bool named = std::ranges::any_of(options.mesh_attributes, [&](const std::string& name) {
       return name != "all" && IsAskedFor(attribute, name);
-    };
+    });
+    // What may be left out is decided before any work, by all of it and not by where samples fall.
+    const auto checked =
+        reader.CheckAttribute(n, named ? CheckDepth::kHeads : CheckDepth::kWhole, context);
     if (checked) {
       kept.push_back(n);
       continue;
     }
     const ErrorCode code = checked.error().code;
-    const bool absent = code == ErrorCode::kNotFound || code == ErrorCode::kUnsupported;
-    if (!absent || std::ranges::any_of(options.mesh_attributes, names_it)) {
+    const bool absent = code == ErrorCode::kNotFound || code == ErrorCode::kUnsupported ||
+                        code == ErrorCode::kCorruptInput;
+    if (!absent || named) {
       return Fail(code, "the attribute '" + attribute.name + "': " + checked.error().message);
     }
     left_out.push_back(attribute.name + ": " + checked.error().message);

@@ -29,9 +29,9 @@ struct CarryPlan {
 Result<CarryPlan> PlanCarry(std::span<const MeshAttribute> present, const SampleOptions& options);
 
 /// Asks `reader` whether what a plan's attributes need is at hand (MeshReader::CheckAttribute).
-/// What is not, but was asked for by "all" alone, leaves the plan and is returned: "name: reason".
-/// Errors: those of attributes asked for by name or meaning, and all but kNotFound and
-/// kUnsupported.
+/// What is missing or damaged, but was asked for by "all" alone, leaves the plan and is returned:
+/// "name: reason". Errors: those of attributes asked for by name or meaning, and all but kNotFound,
+/// kUnsupported and kCorruptInput.
 Result<std::vector<std::string>> LeaveOutAbsent(MeshReader& reader, const SampleOptions& options,
                                                 CarryPlan& plan, RunContext& context);
 

@@ -177,6 +177,10 @@ struct Share {
   }
 };
 
+/// How far MeshReader::CheckAttribute looks: heads of files tell that they are there and how large
+/// they are, and only reading them whole that nothing of them is damaged.
+enum class CheckDepth : std::uint8_t { kHeads, kWhole };
+
 /// Pulls triangles, in file order, from a mesh whose triangles need not fit in memory.
 ///
 /// Opening (io/open_mesh.h) has already read the vertices of an indexed format, so every index can
@@ -236,9 +240,9 @@ class MeshReader {
     return Fail(ErrorCode::kInternal, info().format + ": this reader carries no attributes");
   }
   /// Whether what an attribute needs from outside the mesh's own data, such as images, is there and
-  /// fits the account; looks at no more than the heads of files. Errors: kNotFound, kUnsupported
-  /// (not here, or not in a form that is read); kCorruptInput, kOverBudget, kIo.
-  virtual Result<void> CheckAttribute(std::size_t, RunContext&) { return {}; }
+  /// fits the account. Errors: kNotFound, kUnsupported (not here, or not in a form that is read);
+  /// kCorruptInput, kOverBudget, kIo; kCancelled.
+  virtual Result<void> CheckAttribute(std::size_t, CheckDepth, RunContext&) { return {}; }
   /// The images that materials name. Opens them; what is wrong with one is part of the answer.
   virtual std::vector<MeshTexture> InspectTextures(RunContext&) { return {}; }
 

@@ -84,7 +84,7 @@ struct SampleStats {
   double carry_seconds = 0;      ///< Of that, for the mesh's attributes.
   std::uint64_t resumed_at = 0;  ///< The triangles before this one were a former process's work.
   int passes = 1;                ///< How often the triangles were read.
-  /// Attributes that "all" would have taken and that are not at hand: "texture: …: reason".
+  /// Attributes that "all" would have taken and that are missing or damaged: "texture: …: reason".
   std::vector<std::string> left_out{};
 };
 

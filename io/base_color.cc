@@ -17,6 +17,23 @@ Rgba Times(const Rgba& a, const Rgba& b) {
   return {a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]};
 }
 
+Result<void> CheckFits(TextureImages& images, std::uint32_t image, MemoryAccount& memory) {
+  const auto head = HeadOf(images, image, &memory);
+  if (!head) return Forward(head);
+  const auto fits = memory.Take(head->pixel_bytes() + head->working_bytes(),
+                                images.NameOf(image) + ": the " + std::to_string(head->width) +
+                                    " x " + std::to_string(head->height) + " pixels of the image");
+  if (!fits) return Forward(fits);
+  return {};
+}
+
+Result<Image> Decode(TextureImages& images, std::uint32_t image, RunContext& context) {
+  const auto file =
+      images.Read(image, std::numeric_limits<std::uint64_t>::max(), &context.memory());
+  if (!file) return Forward(file);
+  return DecodeImage(file->bytes, images.NameOf(image), &context.memory(), &context);
+}
+
 }  // namespace
 
 std::array<double, 2> CarryUv(const std::array<std::array<double, 2>, 3>& corner,
@@ -94,7 +111,7 @@ MeshAttribute TextureAttribute(bool opaque) {
 }
 
 Result<void> CheckTextures(TextureImages& images, std::span<const BaseColor> materials,
-                           MemoryAccount& memory) {
+                           CheckDepth depth, RunContext& context) {
   std::vector<std::uint32_t> checked;
   for (const BaseColor& material : materials) {
     if (material.fault) return tl::unexpected<Error>(*material.fault);
@@ -104,13 +121,9 @@ Result<void> CheckTextures(TextureImages& images, std::span<const BaseColor> mat
   std::sort(checked.begin(), checked.end());
   checked.erase(std::unique(checked.begin(), checked.end()), checked.end());
   for (const std::uint32_t image : checked) {
-    const auto head = HeadOf(images, image, &memory);
-    if (!head) return Forward(head);
-    const auto fits =
-        memory.Take(head->pixel_bytes() + head->working_bytes(),
-                    images.NameOf(image) + ": the " + std::to_string(head->width) + " x " +
-                        std::to_string(head->height) + " pixels of the image");
-    if (!fits) return Forward(fits);
+    if (auto fits = CheckFits(images, image, context.memory()); !fits) return fits;
+    if (depth == CheckDepth::kHeads) continue;
+    if (auto decoded = Decode(images, image, context); !decoded) return Forward(decoded);
   }
   return {};
 }
@@ -196,10 +209,7 @@ Result<const Image*> BaseColorLookup::Load(std::uint32_t image) {
   if (!head) return Forward(head);
   while (!held_.empty() && held_bytes_ + head->pixel_bytes() > most_bytes_) DropOldest();
   for (;;) {
-    auto file = images_.Read(image, std::numeric_limits<std::uint64_t>::max(), &context_.memory());
-    auto decoded =
-        file ? DecodeImage(file->bytes, images_.NameOf(image), &context_.memory(), &context_)
-             : Result<Image>(Forward(file));
+    auto decoded = Decode(images_, image, context_);
     if (decoded) {
       held_.push_front({image, std::make_unique<Image>(std::move(*decoded))});
       held_bytes_ += held_.front().image->head().pixel_bytes();

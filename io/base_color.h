@@ -74,10 +74,10 @@ void Inspect(TextureImages& images, std::uint32_t image, MemoryAccount* memory,
 /// them is not opaque.
 MeshAttribute TextureAttribute(bool opaque);
 
-/// Whether all images of these materials are there, have a head and fit the account one by one.
-/// Errors: the materials' faults; those of HeadOf; kOverBudget.
+/// Whether all images of these materials are there, have a head and fit the account one by one;
+/// kWhole decodes them, too. Errors: the materials' faults; those of HeadOf and DecodeImage.
 Result<void> CheckTextures(TextureImages& images, std::span<const BaseColor> materials,
-                           MemoryAccount& memory);
+                           CheckDepth depth, RunContext& context);
 
 /// Looks up the colours of points, in portions: those of one image together, so that an image is
 /// decoded at most once a portion. Threads: one at a time. Memory: decoded images, taken from the

@@ -68,11 +68,11 @@ class GltfReader : public PlacedReader {
         {buffers_, document_, scene_, draws_, materials_, images_, options_, locate},
         std::move(wanted), context);
   }
-  Result<void> CheckAttribute(std::size_t number, RunContext& context) override {
+  Result<void> CheckAttribute(std::size_t number, CheckDepth depth, RunContext& context) override {
     if (columns_[number].from != GltfColumn::From::kTexture) return {};
     std::vector<BaseColor> used;
     for (const std::uint32_t k : MaterialsOf(document_, draws_)) used.push_back(materials_[k]);
-    return CheckTextures(images_, used, context.memory());
+    return CheckTextures(images_, used, depth, context);
   }
   std::vector<MeshTexture> InspectTextures(RunContext& context) override {
     std::vector<MeshTexture> textures;

@@ -83,11 +83,40 @@ void ReadDiffuse(std::string_view rest, ObjMaterial& material) {
   material.diffuse = diffuse;
 }
 
+// A name in quotes, as some exporters write those with blanks, without them; "" of any other.
+// Before it may stand the folder of its library.
+std::string WithoutQuotes(const std::string& name) {
+  const std::size_t open = name.find('"');
+  const bool whole = open != std::string::npos && open + 2 < name.size() &&
+                     name.find('"', open + 1) == name.size() - 1 &&
+                     (open == 0 || name[open - 1] == '/' || name[open - 1] == '\\');
+  return whole ? name.substr(0, open) + name.substr(open + 1, name.size() - open - 2) : "";
+}
+
+struct NamedFile {
+  std::unique_ptr<ByteSource> source;
+  std::string name;  // As it was found.
+};
+
+// What a name names as it stands; where there is no such file, without its quotes.
+Result<NamedFile> OpenNamed(const std::shared_ptr<const CompanionFiles>& companions,
+                            const std::string& name, const std::string& who) {
+  const auto path = RelativePathOfName(name, who);
+  if (!path) return Forward(path);
+  auto source = OpenCompanion(companions, *path, who);
+  if (source) return NamedFile{*std::move(source), name};
+  const std::string bare = WithoutQuotes(name);
+  if (bare.empty() || source.error().code != ErrorCode::kNotFound) return Forward(source);
+  return OpenNamed(companions, bare, who);
+}
+
 // A path in a library is relative to that.
 std::string MapPath(const ObjMaterial& material) {
   const std::size_t slash = material.library.find_last_of("/\\");
-  const bool rooted = material.color_map.starts_with('/') || material.color_map.starts_with('\\') ||
-                      material.color_map.find(':') != std::string::npos;
+  const std::string bare = WithoutQuotes(material.color_map);
+  const std::string& map = bare.empty() ? material.color_map : bare;
+  const bool rooted =
+      map.starts_with('/') || map.starts_with('\\') || map.find(':') != std::string::npos;
   if (slash == std::string::npos || rooted) return material.color_map;
   return material.library.substr(0, slash + 1) + material.color_map;
 }
@@ -113,12 +142,10 @@ std::string FileImages::NameOf(std::uint32_t image) const {
 Result<ImageFile> FileImages::Read(std::uint32_t image, std::uint64_t most, MemoryAccount* memory) {
   auto found = open_.find(image);
   if (found == open_.end()) {
-    const auto path = RelativePathOfName(paths_[image], who_);
-    if (!path) return Forward(path);
-    auto source = OpenCompanion(companions_, *path, who_);
-    if (!source) return Forward(source);
+    auto file = OpenNamed(companions_, paths_[image], who_);
+    if (!file) return Forward(file);
     if (open_.size() >= kMostOpen) open_.erase(open_.begin());
-    found = open_.emplace(image, std::move(*source)).first;
+    found = open_.emplace(image, std::move(file->source)).first;
   }
   ByteSource& source = *found->second;
   return ReadImageFile(source.size().value_or(0), most, memory, NameOf(image) + ": its bytes",
@@ -155,16 +182,14 @@ Result<void> ObjMaterials::Load(const std::string& who, const OpenOptions& optio
 
 Result<void> ObjMaterials::LoadOne(const std::string& library, const std::string& who,
                                    const OpenOptions& options) {
-  const auto path = RelativePathOfName(library, who);
-  if (!path) return Forward(path);
-  auto source = OpenCompanion(options.companions, *path, who);
-  if (!source) return Forward(source);
-  TextScanner text(**source, options.max_line_bytes);
+  const auto file = OpenNamed(options.companions, library, who);
+  if (!file) return Forward(file);
+  TextScanner text(*file->source, options.max_line_bytes);
   while (text.Next()) {
     const auto [keyword, rest] = Split(text.line());
     if (keyword == "newmtl") {
       if (materials_.size() == kMostMaterials) break;
-      materials_.push_back({std::string(rest), library});
+      materials_.push_back({std::string(rest), file->name});
     } else if (IsWord(keyword, "map_kd") && !materials_.empty()) {
       ReadMap(rest, materials_.back());
     } else if (IsWord(keyword, "kd") && !materials_.empty()) {

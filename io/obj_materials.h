@@ -20,7 +20,7 @@ namespace strata::io {
 /// A material, as far as colour goes.
 struct ObjMaterial {
   std::string name;
-  std::string library{};    ///< The file that it stands in, as mtllib has it.
+  std::string library{};    ///< The file that it stands in, as mtllib has it, without quotes.
   std::string color_map{};  ///< The path of map_Kd as the file has it; "" without.
   bool clamp = false;       ///< Of that map: -clamp on; else it repeats.
   std::array<double, 2> offset = {0, 0}, scale = {1, 1};  ///< -o and -s: uv * scale + offset.
@@ -30,7 +30,8 @@ struct ObjMaterial {
 /// Images in files that a mesh names.
 class FileImages : public TextureImages {
  public:
-  /// `who`: the mesh's name. `paths` are as the mesh has them (RelativePathOfName).
+  /// `who`: the mesh's name. `paths` are as the mesh has them (RelativePathOfName). One in quotes
+  /// is the file of that very name or, where there is none, the one that the quotes enclose.
   FileImages(std::string who, std::vector<std::string> paths, const OpenOptions& options)
       : who_(std::move(who)), paths_(std::move(paths)), companions_(options.companions) {}
   std::string NameOf(std::uint32_t image) const override;

@@ -76,9 +76,9 @@ class ObjReader : public MeshReader {
       return OpenObjAttributes(*source_, max_line_bytes_, contents_, colors_, wanted, context);
     });
   }
-  Result<void> CheckAttribute(std::size_t number, RunContext& context) override {
+  Result<void> CheckAttribute(std::size_t number, CheckDepth depth, RunContext& context) override {
     if (attributes_[number].carry != Carry::kLookedUp) return {};
-    return CheckTextures(*colors_.images, colors_.materials, context.memory());
+    return CheckTextures(*colors_.images, colors_.materials, depth, context);
   }
   std::vector<MeshTexture> InspectTextures(RunContext& context) override {
     // Of all materials, used or not: what the file says it has.

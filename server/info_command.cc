@@ -35,7 +35,7 @@ Result<std::vector<AttributeRange>> RangesOf(const InfoCommand& command, MeshRea
 void NoteAbsent(MeshReader& reader, std::vector<AttributeRange>& ranges, RunContext& context) {
   for (std::size_t k = 0; k < ranges.size(); ++k) {
     if (!ranges[k].fault.empty()) continue;
-    const auto checked = reader.CheckAttribute(k, context);
+    const auto checked = reader.CheckAttribute(k, CheckDepth::kHeads, context);
     if (!checked) ranges[k].fault = checked.error().message;
   }
 }

@@ -77,7 +77,7 @@ inline void FetchAttributes(MeshReader& reader, std::span<const std::uint64_t> t
   RunContext context(std::uint64_t{64} << 20);
   std::vector<std::size_t> all;
   for (std::size_t k = 0; k < reader.attributes().size(); ++k) {
-    if (reader.CheckAttribute(k, context)) all.push_back(k);
+    if (reader.CheckAttribute(k, CheckDepth::kHeads, context)) all.push_back(k);
   }
   if (all.empty()) return;
   const auto pass = reader.ReadAttributes(all, context);

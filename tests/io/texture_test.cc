@@ -434,6 +434,80 @@ TEST_F(ObjTexture, ThatIsMissingIsNamedIfItWasAskedForByName) {
   EXPECT_FALSE(Sample({"all", "texture"}));
 }
 
+TEST_F(ObjTexture, ThatIsDamagedIsLeftOutByAllAsAMissingOneIs) {
+  std::filesystem::remove(folder_ / "uv.png");
+  const auto missing = Sample({"all"});
+  ASSERT_TRUE(missing) << missing.error().message;
+  const std::string png = MakePng(UvPixels());
+  // In its head; in its pixels, of which the head knows nothing.
+  for (const std::size_t bytes : {std::size_t{20}, std::size_t{300}, png.size() - 20}) {
+    test::WriteFile(folder_ / "uv.png", png.substr(0, bytes));
+    const auto all = Sample({"all"});
+    ASSERT_TRUE(all) << bytes << ": " << all.error().message;
+    EXPECT_EQ(all->samples.carried, missing->samples.carried) << bytes;
+    ASSERT_EQ(all->stats.left_out.size(), 1u);
+    EXPECT_TRUE(all->stats.left_out[0].starts_with("texture: ")) << all->stats.left_out[0];
+    EXPECT_NE(all->stats.left_out[0].find("uv.png"), std::string::npos) << all->stats.left_out[0];
+    for (const Attributes& named : {Attributes{"texture"}, Attributes{"all", "texture"}}) {
+      const auto refused = Sample(named);
+      ASSERT_FALSE(refused) << bytes;
+      EXPECT_EQ(refused.error().code, ErrorCode::kCorruptInput) << refused.error().message;
+      EXPECT_NE(refused.error().message.find("uv.png"), std::string::npos);
+    }
+  }
+}
+
+TEST_F(ObjTexture, InQuotesIsTheFileOfThatNameOrTheOneTheyEnclose) {
+  const auto expected = Sample({"texture"});
+  ASSERT_TRUE(expected) << expected.error().message;
+  std::filesystem::create_directory(folder_ / "in it");
+  std::filesystem::rename(folder_ / "uv.png", folder_ / "in it/u v.png");
+  const auto write_mtl = [&](const std::string& name) {
+    std::string text = kMtl;
+    for (std::size_t at = 0; (at = text.find("uv.png", at)) != std::string::npos;) {
+      text.replace(at, 6, name);
+      at += name.size();
+    }
+    test::WriteFile(folder_ / "m.mtl", text);
+  };
+  for (const char* const name : {"in it/u v.png", "in it\\u v.png", "\"in it/u v.png\"",
+                                 "\"in it\\u v.png\"", "\"in it/u v.png\"  "}) {
+    write_mtl(name);
+    const auto found = Sample({"texture"});
+    ASSERT_TRUE(found) << name << ": " << found.error().message;
+    EXPECT_EQ(found->samples.carried, expected->samples.carried) << name;
+  }
+  // The file of that very name goes first.
+  write_mtl("\"u v.png\"");
+  test::WriteFile(folder_ / "u v.png", "no image");
+  EXPECT_FALSE(Sample({"texture"}));
+  test::WriteFile(folder_ / "\"u v.png\"", MakePng(UvPixels()));
+  const auto literal = Sample({"texture"});
+  ASSERT_TRUE(literal) << literal.error().message;
+  EXPECT_EQ(literal->samples.carried, expected->samples.carried);
+  for (const char* const name : {"\"none.png\"", "\"", "\"\"", "a\"u v.png\"", "\"u\" v.png\""}) {
+    write_mtl(name);
+    const auto none = Sample({"texture"});
+    ASSERT_FALSE(none) << name;
+    EXPECT_EQ(none.error().code, ErrorCode::kNotFound) << none.error().message;
+  }
+}
+
+TEST_F(ObjTexture, IsFoundBesideALibraryInQuotes) {
+  const auto expected = Sample({"texture"});
+  ASSERT_TRUE(expected) << expected.error().message;
+  std::filesystem::create_directory(folder_ / "in it");
+  for (const char* const name : {"m.mtl", "uv.png"}) {
+    std::filesystem::rename(folder_ / name, folder_ / ("in it/" + std::string(name)));
+  }
+  std::string obj = kObj;
+  obj.replace(obj.find("m.mtl"), 5, "\"in it/m.mtl\"");
+  test::WriteFile(folder_ / "m.obj", obj);
+  const auto found = Sample({"texture"});
+  ASSERT_TRUE(found) << found.error().message;
+  EXPECT_EQ(found->samples.carried, expected->samples.carried);
+}
+
 TEST_F(ObjTexture, WhoseLibraryIsMissingSaysSo) {
   std::filesystem::remove(folder_ / "m.mtl");
   const auto named = Sample({"texture"});
@@ -452,7 +526,8 @@ TEST_F(ObjTexture, OfAMeshWithoutAFolderSaysThatThereIsNone) {
 }
 
 TEST_F(ObjTexture, IsNeverLookedForOutsideTheFolder) {
-  for (const char* const path : {"/etc/passwd", "../uv.png", "C:\\uv.png", "in/../../uv.png"}) {
+  for (const char* const path : {"/etc/passwd", "../uv.png", "C:\\uv.png", "in/../../uv.png",
+                                 "\"/etc/passwd\"", "\"../uv.png\"", "\"C:\\uv.png\""}) {
     test::WriteFile(folder_ / "m.mtl", "newmtl paint\nmap_Kd " + std::string(path) + "\n");
     const auto named = Sample({"texture"});
     ASSERT_FALSE(named) << path;
@@ -522,6 +597,27 @@ TEST_F(ManyTextures, GiveTheSameBytesInAnyMemoryAndOnAnyThreads) {
       const auto part = Sample(threads, mega << 20);
       ASSERT_TRUE(part) << mega << " MiB: " << part.error().message;
       EXPECT_EQ(part->samples.carried, whole->samples.carried) << threads << ", " << mega << " MiB";
+    }
+  }
+}
+
+TEST_F(ManyTextures, OfWhichOneIsDamagedAreLeftOutByAllInAnyMemoryAndOnAnyThreads) {
+  const std::string seven = MakePng(MakePixels(256, 256, 3, [](unsigned, unsigned, int) {  //
+    return 140u;
+  }));
+  test::WriteFile(folder_ / "7.png", seven.substr(0, seven.size() - 30));
+  std::optional<SampleResult> first;
+  for (const int threads : {1, 2}) {
+    for (const std::uint64_t memory : {MemoryAccount::kUnlimited, std::uint64_t{40} << 20}) {
+      auto reader = OpenMesh(folder_ / "m.obj");
+      ASSERT_TRUE(reader) << reader.error().message;
+      auto all = Sampled(**reader, {"all"}, threads, memory);
+      ASSERT_TRUE(all) << all.error().message;
+      ASSERT_EQ(all->stats.left_out.size(), 1u);
+      EXPECT_NE(all->stats.left_out[0].find("7.png"), std::string::npos);
+      if (!first) first = *all;
+      EXPECT_EQ(all->samples.carried, first->samples.carried) << threads << ", " << memory;
+      EXPECT_EQ(all->stats.left_out, first->stats.left_out);
     }
   }
 }

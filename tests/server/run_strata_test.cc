@@ -191,8 +191,15 @@ TEST_F(RunStrata, SamplesCarryTheColourOfTheTexture) {
   ASSERT_EQ(left_out.size(), 1u);
   EXPECT_THAT(left_out[0].get<std::string>(), HasSubstr("white.png"));
 
-  WriteFile(In("white.png"),
-            MakePng(MakePixels(2, 2, 3, [](unsigned, unsigned, int) { return 255u; })));
+  const std::string white =
+      MakePng(MakePixels(2, 2, 3, [](unsigned, unsigned, int) { return 255u; }));
+  WriteFile(In("white.png"), white.substr(0, white.size() - 15));
+  EXPECT_EQ(Sample("a.ply", named).status, 4);
+  const Outcome damaged = Sample("a.ply", {"--attributes", "all"});
+  EXPECT_EQ(damaged.status, 0) << damaged.err;
+  EXPECT_THAT(damaged.err, HasSubstr("left out   texture: "));
+  EXPECT_THAT(damaged.err, HasSubstr("the image 'white.png'"));
+  WriteFile(In("white.png"), white);
   EXPECT_THAT(Written("b.csv", named), HasSubstr(",255,51,0\n"));
   const std::string ply = Written("b.ply", named);
   EXPECT_THAT(ply, HasSubstr("property uchar red\nproperty uchar green\nproperty uchar blue\n"));
