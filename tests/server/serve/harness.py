@@ -20,8 +20,9 @@ import zipfile
 ARGUMENTS = {}  # Set by main().
 # Off in most tests under ThreadSanitizer (tests/support/run_under_tsan.py).
 GRPC = os.environ.get('STRATA_TEST_GRPC') != 'off'
+UNDER_TSAN = 'STRATA_TEST_GRPC' in os.environ
 # Seconds for what normally takes milliseconds; only a hang reaches it. ThreadSanitizer is slow.
-PATIENCE = 300.0 if 'STRATA_TEST_GRPC' in os.environ else 60.0
+PATIENCE = 300.0 if UNDER_TSAN else 60.0
 SKIPPED = 77  # CTest's word for it.
 
 
@@ -30,6 +31,7 @@ def strata():
 
 
 needs_grpc = unittest.skipUnless(GRPC, 'gRPC is off: its library is not built for ThreadSanitizer')
+measures_memory = unittest.skipIf(UNDER_TSAN, "ThreadSanitizer's own memory counts as the program's")
 
 
 def skip_without_grpc():
@@ -192,7 +194,7 @@ class Server(Logged):
         with tempfile.TemporaryDirectory() as folder:
             out, head = pathlib.Path(folder) / 'out', pathlib.Path(folder) / 'head'
             done = subprocess.run(
-                ['curl', '--silent', '--show-error', '--max-time', '120', '--output', out,
+                ['curl', '--silent', '--show-error', '--max-time', str(2 * PATIENCE), '--output', out,
                  '--dump-header', head, *(['--data-binary', '@-'] if body is not None else []),
                  *options, f'http://127.0.0.1:{self.http_port}{path}'],
                 input=body, capture_output=True)

@@ -91,6 +91,7 @@ class Many(unittest.TestCase):
         for client in clients:
             self.assertEqual(Answer.parse(read_to_end(client)).status, 200)
 
+    @harness.measures_memory
     def test_64_jobs_at_once_are_all_done_within_the_memory(self):
         memory, jobs = 256 * MIB, 4
         server = Server('--memory', '256M', '--jobs', str(jobs))
