@@ -277,6 +277,12 @@ async function askEverything(judge) {
   await judge.ask('get', '/v1/jobs/{id}/result', 404, { at: '/v1/jobs/none/result' });
   const long = await judge.ask('post', '/v1/jobs', 202, request({ resolution: 3000, format: 'xyz' }));
   await judge.ask('get', '/v1/jobs/{id}/result', 409, { at: `/v1/jobs/${long.json.id}/result` });
+  const until = Date.now() + 120_000;
+  let running;
+  do {
+    running = await judge.ask('get', '/v1/jobs/{id}', 200,
+                              { at: `/v1/jobs/${long.json.id}`, query: '?wait=1' });
+  } while (!running.json.progress?.done && Date.now() < until);
   await judge.ask('delete', '/v1/jobs/{id}', 200, { at: `/v1/jobs/${long.json.id}` });
   const large = await judge.ask('post', '/v1/jobs', 202, request({ resolution: 250, format: 'xyz' }));
   const failed = await judge.ask('get', '/v1/jobs/{id}', 200,
