@@ -225,8 +225,11 @@ S3Client::Outcome S3Client::Judge(const Call& call, HttpAnswer answer) const {
   if (answer.broken_off && !call.even_if_cancelled && cancelled()) {
     outcome.error = Cancelled().value();
   } else if (!answer.failure.empty()) {
-    outcome.error = Error{
-        ErrorCode::kIo, call.Shown() + ": " + WithoutSecrets(OneLine(answer.failure)), &kNoAnswer};
+    // Who finds an object damaged while it is sent can only break off.
+    const bool began = answer.status == 200 || answer.status == 206;
+    outcome.error =
+        Error{ErrorCode::kIo, call.Shown() + ": " + WithoutSecrets(OneLine(answer.failure)),
+              began ? &kStoreBusy : &kNoAnswer};
     outcome.retry = answer.transient;
   } else if (answer.status / 100 != 2) {
     const S3Refusal refusal = ParseRefusal(answer.body);

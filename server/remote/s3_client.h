@@ -39,7 +39,8 @@ struct S3Uploads {
 /// Kinds of errors (kIo). Every other comes of what the store answered, of this object or of all.
 /// No answer, or none that can be understood: connections, TLS, names of hosts.
 inline constexpr ErrorKind kNoAnswer;
-/// The store answered that it cannot, for now: 408, 429, 5xx and the codes that say the same.
+/// The store answered that it cannot, for now: 408, 429, 5xx and the codes that say the same. Or it
+/// began to send what was asked for, and broke off.
 inline constexpr ErrorKind kStoreBusy;
 /// A file of this machine could not be read or written: a full disk.
 inline constexpr ErrorKind kLocalFile;

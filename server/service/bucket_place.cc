@@ -46,8 +46,12 @@ class BucketPlace final : public ObjectPlace {
     if (auto open = Gate(); !open) return Forward(open);
     const auto found = OfObject([&] { return client_.Find(NameOf(name)); });
     if (!found) return Forward(found);
-    return *found ? std::optional(Version{(*found)->size, (*found)->etag})
-                  : std::optional<Version>();
+    if (*found) return std::optional(Version{(*found)->size, (*found)->etag});
+    // Of a bucket that is not there HEAD says the same as of a missing object.
+    if (name != kProbe) {
+      if (auto asked = AskForMark(); !asked) return Forward(asked);
+    }
+    return std::optional<Version>();
   }
   Result<void> Fetch(const std::string& name, int fd, std::uint64_t max_bytes) override {
     if (auto open = Gate(); !open) return open;
@@ -96,7 +100,7 @@ class BucketPlace final : public ObjectPlace {
       const std::lock_guard lock(mutex_);
       if (!away_ && SteadyClock::now() - heard_ < kFreshFor) return {};
     }
-    return away_ ? Gate() : Ask();
+    return away_ ? Gate() : AskForMark();
   }
 
  private:
@@ -115,7 +119,7 @@ class BucketPlace final : public ObjectPlace {
       if (asking_ || SteadyClock::now() < ask_again_) return tl::unexpected<Error>(reason_);
       asking_ = true;
     }
-    auto asked = Ask();
+    auto asked = AskForMark();
     const std::lock_guard lock(mutex_);
     asking_ = false;
     return asked;
@@ -128,13 +132,14 @@ class BucketPlace final : public ObjectPlace {
     return config;
   }
 
-  /// Of a bucket that is not there HEAD says the same as of a missing object.
-  Result<void> Ask() {
-    auto found = probe_.Find(NameOf(kProbe));
-    if (found && !*found) {
-      return Heard(Result<void>(Fail(ErrorCode::kIo, Shown(kProbe) + ": is not there any more")));
-    }
-    return AsVoid(Heard(std::move(found)));
+  /// Reads the mark. With GET, which is what blobs are read with: HEAD is answered also where all
+  /// content is refused (an archive's storage class, a key to it that is disabled), and a bucket
+  /// that came back by the one and went by the other would do so for ever.
+  Result<void> AskForMark() {
+    const auto mark = probe_.Get(NameOf(kProbe), kMostProbeBytes);
+    // Another content than the mark's is an answer as well.
+    const bool answered = mark || mark.error().code == ErrorCode::kOverBudget;
+    return Heard(answered ? Result<void>() : AsVoid(mark));
   }
 
   /// Whether a failure is none of the bucket's.
@@ -170,8 +175,7 @@ class BucketPlace final : public ObjectPlace {
       if (result || IsOurs(result.error()) || result.error().kind == &kNoAnswer) {
         return Heard(std::move(result));
       }
-      const auto mark = Heard(probe_.Get(NameOf(kProbe), kMostProbeBytes));
-      if (!mark) return Forward(mark);
+      if (auto mark = AskForMark(); !mark) return Forward(mark);
       if (result.error().kind == &kStoreBusy && again) continue;
       // Another version than was asked for is none of the bucket's faults.
       if (result.error().code == ErrorCode::kConflict) return result;

@@ -123,7 +123,7 @@ void StoredService::Maintain() {
 
 void StoredService::TendBucket() {
   const Meanwhile meanwhile([this] { return stopping_.load(); });
-  bool away = false;
+  enum class State : std::uint8_t { kFine, kRefuses, kAway } last = State::kFine;
   std::unique_lock lock(mutex_);
   while (!wake_.wait_for(lock, std::min(kMaintainEvery, lease_ / 2),
                          [this] { return stopping_.load(); })) {
@@ -131,12 +131,14 @@ void StoredService::TendBucket() {
     const auto done = store_->TendBucket();
     if (stopping_) return;
     const bool refused = !done && IsObjectRefused(done.error());
-    if (!done && !away) {
+    const State now = done ? State::kFine : refused ? State::kRefuses : State::kAway;
+    // What is refused for days must not hide that the bucket is away for an hour.
+    if (now != State::kAway && last == State::kAway) Log(LogLevel::kInfo, "bucket_back", {});
+    if (!done && now != last) {
       Log(LogLevel::kWarning, refused ? "bucket_refuses" : "bucket_away",
           {{"reason", done.error().message}});
     }
-    if (done && away) Log(LogLevel::kInfo, "bucket_back", {});
-    away = !done;
+    last = now;
     lock.lock();
   }
 }

@@ -14,6 +14,7 @@ namespace strata::server {
 namespace {
 
 constexpr std::string_view kBlobs = "blobs/", kPieces = "uploads/";
+constexpr int kMostRefused = 20;  // Of one sweep.
 
 // What an object's name ends with: its maker's (Membership::NewName).
 std::string_view MakersPart(std::string_view object) {
@@ -242,15 +243,19 @@ void BlobStore::CollectInBucket(const std::string& hash) {
 Result<void> BlobStore::SweepGarbage() {
   if (!bucket_) return {};
   std::vector<std::string> names;
-  auto listed = database_.Read().Query("SELECT name FROM blob_garbage LIMIT 1000",
+  // Drawn, so that those that are refused do not keep out the others.
+  auto listed = database_.Read().Query("SELECT name FROM blob_garbage ORDER BY random() LIMIT 1000",
                                        [&](const Row& row) { names.push_back(row.Text(0)); });
   if (!listed) return Forward(listed);
   Result<void> result;
+  int refused = 0;
   for (const std::string& name : names) {
     auto deleted = bucket_.place->Delete(name);
     if (!deleted && !IsObjectRefused(deleted.error())) return deleted;
     if (!deleted && result) result = deleted;
-    if (!deleted) continue;  // Others need not wait for it.
+    // Others need not wait for it; where keys may delete nothing, few requests are enough.
+    if (!deleted && ++refused == kMostRefused) break;
+    if (!deleted) continue;
     auto done = database_.Read().Run("DELETE FROM blob_garbage WHERE name = ?", name);
     if (!done) return Forward(done);
   }

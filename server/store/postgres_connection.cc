@@ -35,9 +35,12 @@ std::string OneLine(const char* text) {
   return line;
 }
 
+// What a server says that became, or still is, another one's copy.
+constexpr std::string_view kReadOnly = "25006";
+
 /// What an SQLSTATE means to a caller; nothing: away for now.
 std::optional<ErrorCode> CodeOf(std::string_view state) {
-  constexpr std::array<std::string_view, 8> kAway = {"08",    "57",    "25P03", "40",
+  constexpr std::array<std::string_view, 9> kAway = {"08",    "57",    "25P03", kReadOnly, "40",
                                                      "53300", "55P03", "28",    "3D"};
   if (std::ranges::any_of(kAway, [&](auto start) { return state.starts_with(start); })) {
     return std::nullopt;
@@ -111,6 +114,7 @@ Result<PgResult> PgConnection::Check(PgResult result, std::string_view sql) {
   const char* const found = PQresultErrorField(result.get(), PG_DIAG_SQLSTATE);
   const std::string state = found == nullptr ? "" : found;
   if (!alive() || state.empty()) return FailLost("the connection broke");
+  read_only_ = read_only_ || state == kReadOnly;
   const auto code = CodeOf(state);
   const std::string message =
       target_.name() + ": " + OneLine(PQresultErrorField(result.get(), PG_DIAG_MESSAGE_PRIMARY)) +

@@ -51,8 +51,9 @@ class PgConnection {
   /// One statement, `?` for its values; prepared by its first run.
   Result<PgResult> Run(std::string_view sql, std::span<const SqlValue> values);
 
-  /// Whether the next statement can be tried.
-  bool alive() const { return PQstatus(handle_) == CONNECTION_OK; }
+  /// Whether the next statement can be tried. Not on a server that takes no changes (any more):
+  /// whoever connects anew may find the one that does.
+  bool alive() const { return PQstatus(handle_) == CONNECTION_OK && !read_only_; }
   bool in_transaction() const { return PQtransactionStatus(handle_) != PQTRANS_IDLE; }
   PGconn* handle() { return handle_; }
   /// An error that names the database, with libpq's reason.
@@ -65,6 +66,7 @@ class PgConnection {
 
   const PgTarget& target_;
   PGconn* handle_ = nullptr;
+  bool read_only_ = false;
   std::unordered_map<std::string, std::string> statements_;  // SQL → its name.
 };
 

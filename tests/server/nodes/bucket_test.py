@@ -287,6 +287,7 @@ class SharedTest(BucketCase):
                 (lambda *_: s3.refusal(403, 'InvalidObjectState'), '403 InvalidObjectState'),
                 (lambda *_: s3.refusal(404, 'NoSuchKey'), 'no such object'),
                 (lambda *_: s3.refusal(500, 'InternalError'), '500 InternalError'),
+                (s3.cut_after(0), 'after 0 bytes'),  # A disk that cannot read it.
                 (damaged, 'the MD5')):
             with self.subTest(reason):
                 self.store.fail(lambda r: hash in r.target and r.method == 'GET', act, times=1 << 30)
@@ -337,6 +338,35 @@ class SharedTest(BucketCase):
         job = self.ended(server, id)
         self.assertEqual(job['state'], 'succeeded', job)
         self.assertCommandsBytes(server, id, 20)
+
+    @of_our_store
+    def test_a_bucket_whose_content_is_refused_and_not_its_heads_is_away_and_begins_no_job_again_and_again(self):
+        first = self.serve()
+        self.put(first, 'spot.obj', spot().read_bytes())
+        self.assertEqual(first.stop(), 0)
+        server = self.serve('--max-attempts', '1')
+        # As an archive's storage class, or a key that is disabled.
+        self.store.fail(lambda r: r.method == 'GET', lambda *_: s3.refusal(403, 'InvalidObjectState'),
+                        times=1 << 30)
+        id = self.post(server, 20)
+        hash = hashlib.sha256(spot().read_bytes()).hexdigest()[2:]
+        wait_until(lambda: self.store.count('GET', 'store-id') >= 5, 'the bucket to be asked for again')
+        self.assertLessEqual(self.store.count('GET', hash), 1)
+        self.assertEqual(server.curl('/readyz').status, 503)
+        self.store.forget()
+        job = self.ended(server, id)
+        self.assertEqual(job['state'], 'succeeded', job)
+
+    @of_our_store
+    def test_a_bucket_that_is_not_there_any_more_is_away_and_no_damage(self):
+        first = self.serve()
+        self.put(first, 'spot.obj', spot().read_bytes())
+        self.assertEqual(first.stop(), 0)
+        server = self.serve()
+        self.store.fail(lambda r: True, lambda *_: s3.refusal(404, 'NoSuchBucket'), times=1 << 30)
+        answer = server.curl('/v1/models/spot.obj?content')
+        self.assertEqual(answer.status, 503, answer.body)
+        self.assertIn('the bucket is away', answer.json()['detail'])
 
     def test_what_a_failed_append_left_is_no_part_of_the_model(self):
         server = self.serve()

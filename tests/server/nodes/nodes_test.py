@@ -446,6 +446,26 @@ class FaultsTest(NodesCase):
                                   ' GROUP BY job HAVING count(*) <> 1'), [])
         self.assertCommandsBytes(server, next(iter(jobs)), 100, 0)
 
+    def test_a_database_that_takes_no_changes_is_away_and_its_connections_are_made_anew(self):
+        server = self.serve('--jobs', '1')
+        self.ended(server, self.post(server, 30))
+        # As after a failover: connections lead to what is a copy now.
+        POSTGRES.sql(f'ALTER DATABASE {self.database} SET default_transaction_read_only = on')
+        POSTGRES.sql('SELECT pg_terminate_backend(pid) FROM pg_stat_activity'
+                     f" WHERE datname = '{self.database}'")
+        body = b'{"model":"spot.obj","options":{"resolution":31,"format":"xyz"}}'
+
+        def create():
+            return server.curl('/v1/jobs', '-H', 'Content-Type: application/json', body=body)
+        refused = wait_until(lambda: (answer := create()).status != 202 and answer, 'a refusal')
+        self.assertEqual(refused.status, 503, refused.body)
+        self.assertIn('the database is away', refused.json()['detail'])
+        self.assertIn('retry-after', refused.headers)
+        # Connections that are there keep to the old setting.
+        POSTGRES.sql(f'ALTER DATABASE {self.database} RESET default_transaction_read_only')
+        taken = wait_until(lambda: (answer := create()).status == 202 and answer, 'a change to be taken')
+        self.assertEqual(self.ended(server, taken.json()['id'])['state'], 'succeeded')
+
     def test_a_process_that_idles_in_a_transaction_holds_nobody_up(self):
         server = self.serve('--jobs', '1')
         self.ended(server, self.post(server, 30))
