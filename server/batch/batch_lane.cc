@@ -88,6 +88,7 @@ void AddSummary(const v1::SampleSummary& summary, ManifestLine& line) {
   for (const auto& [reason, count] : json.at("mesh").at("skipped").items()) {
     if (count != 0) line.skipped[reason] = count;
   }
+  json.at("left_out").get_to(line.left_out);
 }
 
 }  // namespace

@@ -52,6 +52,7 @@ void PutResult(const ManifestLine& line, Json& json) {
   json["triangles"] = line.triangles;
   json["area"] = line.area;
   json["skipped"] = line.skipped;
+  if (!line.left_out.empty()) json["left_out"] = line.left_out;
   json["surface_hash"] = line.surface_hash;
   if (!line.picture.empty()) json["picture"] = line.picture;
 }
@@ -128,6 +129,7 @@ void GetResult(const Json& json, ManifestLine& line) {
   for (const auto& [reason, count] : json.at("skipped").items()) {
     line.skipped[reason] = Count(json.at("skipped"), reason.c_str());
   }
+  if (json.contains("left_out")) json.at("left_out").get_to(line.left_out);
   json.at("surface_hash").get_to(line.surface_hash);
   line.picture = json.value("picture", "");
 }

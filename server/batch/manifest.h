@@ -45,6 +45,7 @@ struct ManifestLine {
   std::uint64_t samples = 0, cells = 0, triangles = 0;
   double edge = 0, area = 0;
   std::map<std::string, std::uint64_t> skipped;  ///< By reason, those that are not 0.
+  std::vector<std::string> left_out;             ///< SampleStats::left_out.
   std::string surface_hash;
   std::string picture;  ///< Below the folder of state; empty: none.
 

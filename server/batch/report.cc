@@ -43,6 +43,7 @@ void Count(const ManifestLine& line, Report& report) {
   report.samples += line.samples;
   report.triangles += line.triangles;
   for (const auto& [reason, count] : line.skipped) report.skipped += count;
+  report.left_out += line.left_out.size();
   report.input_bytes += line.input_bytes;
   report.output_bytes += line.output_bytes;
   report.area += line.area;
@@ -128,6 +129,10 @@ std::string ReportText(const Report& report, std::size_t slowest) {
       << " read, " << Bytes(report.output_bytes) << " written\ntime       "
       << Seconds(report.seconds) << " of all models\nmemory     " << Bytes(report.peak_memory_bytes)
       << " at most in one worker\n";
+  if (report.left_out != 0) {
+    out << "left out   " << Grouped(report.left_out)
+        << " attributes that are missing or damaged (left_out in the manifest)\n";
+  }
   if (!report.reasons.empty()) out << "\nfailures\n";
   for (const auto& [reason, count] : report.reasons) {
     const ReportRow* const first = FirstOf(report, reason);
@@ -151,6 +156,7 @@ std::string ReportJson(const Report& report, std::size_t slowest) {
                {"samples", report.samples},
                {"triangles", report.triangles},
                {"skipped_triangles", report.skipped},
+               {"left_out", report.left_out},
                {"area", report.area},
                {"input_bytes", report.input_bytes},
                {"output_bytes", report.output_bytes},

@@ -24,7 +24,8 @@ struct Report {
   std::vector<std::string> folders;
   std::vector<ReportRow> rows;
   std::uint64_t sampled = 0, failed = 0;
-  std::uint64_t samples = 0, triangles = 0, skipped = 0, input_bytes = 0, output_bytes = 0;
+  std::uint64_t samples = 0, triangles = 0, skipped = 0, left_out = 0, input_bytes = 0,
+                output_bytes = 0;
   double area = 0, seconds = 0;
   std::uint64_t peak_memory_bytes = 0;
   std::map<std::string, std::uint64_t> reasons;  ///< Of the failed, by type.

@@ -139,6 +139,25 @@ class GoesOn(BatchTest):
         self.assertEqual(counts(self.batch(*QUICK, status=1)), (0, 1, 1), 'the buffer went')
         self.assertEqual(set(outputs(self.out)), {'b.obj.drc'})
 
+    def test_what_all_attributes_left_out_stands_in_the_manifest_and_the_report(self):
+        textured = 'mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n'
+        self.put('m.mtl', 'newmtl m\nmap_Kd wood.png\n')
+        self.put('missing.obj', textured)
+        self.put('bad/m.mtl', 'newmtl m\nmap_Kd wood.png\n')
+        self.put('bad/wood.png', 'no image')
+        self.put('bad/damaged.obj', textured)
+        self.put('whole.off')
+        self.batch(*QUICK, '--attributes', 'all')
+        lines = manifest(self.out)
+        self.assertNotIn('left_out', lines['whole.off'])
+        for path in ['missing.obj', 'bad/damaged.obj']:
+            self.assertEqual(len(lines[path]['left_out']), 1, lines[path])
+            self.assertTrue(lines[path]['left_out'][0].startswith('texture: '), lines[path])
+            self.assertIn('wood.png', lines[path]['left_out'][0])
+        self.assertEqual(counts(self.batch(*QUICK, '--attributes', 'all')), (0, 3, 0))
+        told = subprocess.run(command('report', self.out), capture_output=True, text=True, timeout=PATIENCE)
+        self.assertIn('left out   2 attributes', told.stdout)
+
     def test_options_decide_what_is_redone(self):
         self.put('a/x.off')
         self.put('b/y.off')

@@ -38,6 +38,7 @@ ManifestLine Sampled(const std::string& path) {
   line.edge = 0.1;
   line.area = 1.5;
   line.skipped = {{"zero_area", 3}};
+  line.left_out = {"texture: wood.png: not found"};
   line.surface_hash = "0123";
   line.measured = {0.25, 1000, 42, 2, "2026-01-02T03:04:05.678Z"};
   return line;
@@ -61,6 +62,7 @@ TEST(ManifestLine, ReadsBackAsItWasWritten) {
   ASSERT_EQ(read->companions.size(), 2u);
   EXPECT_EQ(read->companions[1].path, "c/\xff.png");
   EXPECT_EQ(read->skipped, line.skipped);
+  EXPECT_EQ(read->left_out, line.left_out);
   EXPECT_EQ(read->measured.attempts, 2);
   const auto failed = FromJsonLine(ToJsonLine(Failed("x", "m")));
   ASSERT_TRUE(failed);
