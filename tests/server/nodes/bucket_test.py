@@ -110,6 +110,13 @@ class BucketCase(nodes_test.NodesCase):
         self.assertIn(answer.status, (200, 201), answer.body)
         return answer
 
+    def put_by_another_node(self, **models):
+        """Puts spot.obj and `models` (NAME=mesh for NAME.obj), of which nodes started later have no copy."""
+        node = self.serve()
+        for name, mesh in {'spot': spot().read_bytes(), **models}.items():
+            self.put(node, f'{name}.obj', mesh)
+        self.assertEqual(node.stop(), 0)
+
     def create_upload(self, server, mesh, name='bWVzaC5vYmo='):  # mesh.obj
         made = server.curl('/v1/uploads', '-X', 'POST', '-H', 'Tus-Resumable: 1.0.0', '-H',
                            f'Upload-Length: {len(mesh)}', '-H', f'Upload-Metadata: name {name}')
@@ -271,11 +278,8 @@ class SharedTest(BucketCase):
 
     @of_our_store
     def test_a_model_that_the_bucket_refuses_alone_fails_its_jobs_after_as_many_tries_as_allowed(self):
-        first = self.serve()
-        self.put(first, 'spot.obj', spot().read_bytes())
-        self.put(first, 'cube.obj', CUBE)
-        self.assertEqual(first.stop(), 0)
-        server = self.serve('--max-attempts', '2')  # It has no copy.
+        self.put_by_another_node(cube=CUBE)
+        server = self.serve('--max-attempts', '2')
         hash = hashlib.sha256(spot().read_bytes()).hexdigest()[2:]
 
         def damaged(handler, request):
@@ -310,11 +314,9 @@ class SharedTest(BucketCase):
         self.assertCommandsBytes(server, id, 20)
 
     def test_a_model_whose_object_is_refused_is_put_anew_with_the_next_upload(self):
-        first = self.serve()
-        self.put(first, 'spot.obj', spot().read_bytes())
+        self.put_by_another_node()
         hash = hashlib.sha256(spot().read_bytes()).hexdigest()[2:]
         old = next(name for name in self.objects() if hash in name)
-        self.assertEqual(first.stop(), 0)
         server = self.serve()
         self.store.fail(lambda r: old in r.target, lambda *_: s3.refusal(403, 'AccessDenied'),
                         times=1 << 30)
@@ -325,9 +327,7 @@ class SharedTest(BucketCase):
 
     @of_our_store
     def test_a_bucket_that_refuses_everything_is_away_and_costs_no_job_a_try(self):
-        first = self.serve()
-        self.put(first, 'spot.obj', spot().read_bytes())
-        self.assertEqual(first.stop(), 0)
+        self.put_by_another_node()
         server = self.serve('--max-attempts', '1')
         self.store.fail(lambda r: True, lambda *_: s3.refusal(403, 'AccessDenied'), times=1 << 30)
         id = self.post(server, 20)
@@ -341,9 +341,7 @@ class SharedTest(BucketCase):
 
     @of_our_store
     def test_a_bucket_whose_content_is_refused_and_not_its_heads_is_away_and_begins_no_job_again_and_again(self):
-        first = self.serve()
-        self.put(first, 'spot.obj', spot().read_bytes())
-        self.assertEqual(first.stop(), 0)
+        self.put_by_another_node()
         server = self.serve('--max-attempts', '1')
         # As an archive's storage class, or a key that is disabled.
         self.store.fail(lambda r: r.method == 'GET', lambda *_: s3.refusal(403, 'InvalidObjectState'),
@@ -359,9 +357,7 @@ class SharedTest(BucketCase):
 
     @of_our_store
     def test_a_bucket_that_is_not_there_any_more_is_away_and_no_damage(self):
-        first = self.serve()
-        self.put(first, 'spot.obj', spot().read_bytes())
-        self.assertEqual(first.stop(), 0)
+        self.put_by_another_node()
         server = self.serve()
         self.store.fail(lambda r: True, lambda *_: s3.refusal(404, 'NoSuchBucket'), times=1 << 30)
         answer = server.curl('/v1/models/spot.obj?content')

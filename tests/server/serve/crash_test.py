@@ -6,10 +6,8 @@ import json
 import os
 import pathlib
 import random
-import shutil
 import signal
 import sqlite3
-import tempfile
 import threading
 import time
 import unittest
@@ -168,11 +166,7 @@ class Disk:
 class Crash(unittest.TestCase):
 
     def setUp(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        self.at = pathlib.Path(folder.name)
-        (self.at / 'models').mkdir()
-        shutil.copy(spot(), self.at / 'models')
+        self.at = harness.folder_with_models(self)
         self.disk, self.known = Disk(self.at), Known()
 
     def serve(self):

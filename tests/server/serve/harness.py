@@ -7,6 +7,7 @@ import os
 import pathlib
 import re
 import select
+import shutil
 import signal
 import socket
 import subprocess
@@ -331,6 +332,16 @@ def tiles_in_zip(body):
 
 def spot():
     return pathlib.Path(ARGUMENTS['source']) / 'models' / 'spot.obj'
+
+
+def folder_with_models(test):
+    """A folder of a test's own, that goes with it; `models` in it holds one mesh."""
+    folder = tempfile.TemporaryDirectory()
+    test.addCleanup(folder.cleanup)
+    path = pathlib.Path(folder.name)
+    (path / 'models').mkdir()
+    shutil.copy(spot(), path / 'models')
+    return path
 
 
 CUBE = b''.join(b'v %d %d %d\n' % (x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)) + b'''\

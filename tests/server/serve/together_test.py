@@ -7,10 +7,8 @@ import json
 import os
 import pathlib
 import random
-import shutil
 import signal
 import socket
-import tempfile
 import threading
 import unittest
 
@@ -191,11 +189,7 @@ class Together(unittest.TestCase):
                         for resolution in RESOLUTIONS}
 
     def setUp(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        self.at = pathlib.Path(folder.name)
-        (self.at / 'models').mkdir()
-        shutil.copy(spot(), self.at / 'models')
+        self.at = harness.folder_with_models(self)
         Client.draining = False
 
     def serve(self, *options):
